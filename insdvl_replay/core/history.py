@@ -164,6 +164,16 @@ class History:
         return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_read))
 
     @property
+    def is_partial(self) -> bool:
+        """Whether NaN means that it says nothing there, as of a recorded solution, and not that it broke down."""
+        return self.is_read
+
+    @property
+    def has_own_start(self) -> bool:
+        """Whether it starts elsewhere than the filters that were run, and not from the reference."""
+        return self.is_read
+
+    @property
     def estimates_position(self) -> bool:
         """Whether the position is among its states."""
         return len(self.states) >= POSITION.stop and self.states[POSITION.start].id == "dp_n"

@@ -113,7 +113,7 @@ COASTING_WINDOWS_S: Final = ("30", "60", "120", "300")
 """Lengths for which the DVL is withheld."""
 _COASTING: Final = tuple(f"coasting_{window}s" for window in COASTING_WINDOWS_S)
 CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
-"""Errors whose convergence is measured, and how `drawn_errors.squared_errors` names them."""
+"""Errors whose convergence is measured, and how `errors.squared_errors` names them."""
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 WITHHELD_QUANTITIES: Final = tuple(f"{WITHHELD}{name}" for name in SENSORS)
 """Differences from sensors that are withheld."""

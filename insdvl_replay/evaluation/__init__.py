@@ -1,14 +1,11 @@
-"""From histories to tables: what a filter believes, what the reference says, and whether the two agree.
+"""From histories to tables and verdicts: pure functions; `evaluate` fills all tables of a dive.
 
-`judging` fills all tables of a dive: `believed` (improvement and convergence by the filter's own covariance),
-`reference` (errors), `consistency` (NIS, which `chi_square` judges), `credibility` (NEES). `coasting` says how far
-filters drift while the velocities are withheld from them, which needs no reference.
+Each chapter builds on those above it. `series` counts independent samples and compares two filters' errors over one
+dive or several; `chi_square` judges means of squares. `predicted` has what P says of improvement, `errors` those
+against the reference, `convergence` when both settle, `drift` errors over segments, track fits and jumps, `consistency`
+the innovations, `credibility` errors in the filter's own standard deviations, `outage_test` the drift without DVL.
+`evidence` compares each candidate with the baseline, piece by piece, `verdicts` puts that in words, `over_dives` pools
+several dives, and `ensemble` has the runs of a Monte Carlo study.
 
-`evidence` holds each candidate against the baseline, piece by piece: `losses` against the reference (`drift` over
-segments, velocities along and across the track) from drawn starts, whose runs `drawn_errors` gathers; coasting; and
-`measured_convergence`. `paired_statistics` compares two filters' losses over one dive, and ratios over several, with
-intervals and a word; `pooled_evidence` does so for all pieces. `verdicts` puts the evidence in words, `sound_filters`
-says of which filters nothing is to be said. `coverage` says what the reference does not see.
-
-Pure functions. Their definitions are those of equations/tables.md; the columns are part of the tool's contract.
+The definitions are those of equations/tables.md and equations/judgement.md. The columns are part of the contract.
 """

@@ -1,4 +1,4 @@
-"""Whether the mean of squares is what it should be: its chi-square interval, and what the mean says beside it.
+"""Whether the mean of a NIS or NEES is what a consistent filter has: its chi-square interval and its verdict.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
@@ -6,7 +6,7 @@ Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Trackin
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import betainc, chdtr, chdtri
 
 from insdvl_replay.core.words import Consistency, Reason
 
@@ -14,6 +14,8 @@ CONFIDENCE: Final = 0.95
 """Share of consistent filters whose mean lies inside the interval."""
 SMALL_EXCESS: Final = 0.1
 """A NIS or NEES that is off by a smaller share stands for a standard deviation that is off by less than 5 %."""
+FEWEST_UPDATES: Final = 10
+"""With fewer updates the verdict is ``too few``."""
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:
@@ -22,35 +24,39 @@ def chi_square_quantile(probability: float, dof: float) -> float:
 
 
 def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the interval in which the mean of chi-square variables lies.
+    """Return the two-sided interval in which the mean of ``count`` chi-square variables lies.
 
-    The sum of ``count`` independent variables with ``dof`` degrees of freedom has ``count * dof`` of them.
-
-    Parameters
-    ----------
-    dof : int
-        Of one variable.
-    count : float
-        How many are averaged; of variables that depend on each other the effective number, which need not be whole.
-    confidence : float
-        Probability of the interval, two-sided.
+    The sum of independent variables with ``dof`` degrees of freedom has ``count * dof`` of them. Of variables that
+    depend on each other the count is the number of effective samples, which need not be whole.
     """
     tail = (1.0 - confidence) / 2.0
-    return (
-        chi_square_quantile(tail, count * dof) / count,
-        chi_square_quantile(1.0 - tail, count * dof) / count,
-    )
+    low, high = (chi_square_quantile(probability, count * dof) / count for probability in (tail, 1.0 - tail))
+    return low, high
 
 
-def consistency_word(mean: float, low: float, high: float, dof: int) -> Consistency:
-    """Judge a mean NIS or NEES: consistent in its interval or near ``dof``, over-confident above, or over-cautious."""
+def consistency_verdict(mean: float, low: float, high: float, dof: int) -> tuple[Consistency, Reason]:
+    """Judge a mean NIS or NEES, and say why if the verdict is not what the interval says."""
     if not np.isfinite(mean):
-        return Consistency.NOT_FINITE
-    if low <= mean <= high or abs(mean / dof - 1.0) <= SMALL_EXCESS:
-        return Consistency.CONSISTENT
-    return Consistency.OVER_CONFIDENT if mean > high else Consistency.OVER_CAUTIOUS
+        return Consistency.NOT_FINITE, Reason.NONE
+    if low <= mean <= high:
+        return Consistency.CONSISTENT, Reason.NONE
+    if abs(mean / dof - 1.0) <= SMALL_EXCESS:
+        return Consistency.CONSISTENT, Reason.NEAR
+    return Consistency.OVER_CONFIDENT if mean > high else Consistency.OVER_CAUTIOUS, Reason.NONE
 
 
-def reason(word: Consistency, mean: float, low: float, high: float) -> Reason:
-    """State why the mean of a filter that is called consistent is outside its interval; nothing where it is inside."""
-    return Reason.NEAR if word == Consistency.CONSISTENT and not low <= mean <= high else Reason.NONE
+def ellipsoid(sigmas: float, dof: int) -> float:
+    """Return the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
+    return chi_square_quantile(float(chdtr(1, sigmas**2)), dof)
+
+
+def probability_beyond_3_sd(share: float, independent: float) -> float:
+    """Bound how probable so large a share of errors beyond 3 standard deviations is in a consistent filter.
+
+    With one independent sample or more it is the binomial probability, continued between whole numbers. With less, an
+    excursion that happened to last, it is Markov's bound, which holds however the errors depend on each other. The two
+    meet. Exceedances repeat themselves less than squares do, by whose correlation the samples are counted.
+    """
+    expected = 1.0 - float(chdtr(1, 9.0))
+    count = share * independent
+    return expected / share if count < 1.0 else float(betainc(count, independent - count + 1.0, expected))

@@ -1,65 +1,244 @@
-"""When each candidate became, and stayed, as sure as the baseline is at the end; and, where that is known, as right."""
+"""When each candidate is as good as the baseline is at the end, by its own covariance and by its true errors.
 
-from collections.abc import Mapping
+Predicted convergence follows from P alone. Measured convergence is that of the rms of true errors over drawn starts; at
+each time it is over the last tenth of what has passed, so that ten seconds are seen as finely as an hour, and the end
+of the dive is its last tenth.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import CONVERGED
+from insdvl_replay.core.states import DV, PHI
 from insdvl_replay.core.tables import ConvergenceRow
 from insdvl_replay.core.words import ConvergenceStatus
-from insdvl_replay.evaluation.believed import believed_states, improvement_pct, last_row
-from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence, measured_convergences
+from insdvl_replay.evaluation.errors import DrawnErrors, squared_errors
+from insdvl_replay.evaluation.predicted import improvement_pct, last_row, predicted_states
+from insdvl_replay.evaluation.series import MARGIN
+
+LAST: Final = 0.1
+"""Share of the time that has passed of which an rms is."""
+STEP: Final = 0.02
+"""Each time at which the rms is looked at is so much of itself before the next."""
+RESAMPLES: Final = 1000
+SEED: Final = 1
+BEYOND: Final = 1e200
+"""Replaces a square that is larger, or not finite: no filter comes back from there."""
+FEWEST_STARTS: Final = 3
+"""The dive's own, and two that are drawn."""
+
+
+# --- Measured convergence.
+
+
+class MeasuredConvergence(NamedTuple):
+    """When two filters became, and stayed, as good as the baseline is at the end, and the ratio of the two times."""
+
+    target: float  # rms of the baseline over the last tenth of the time, SI unit
+    baseline_s: float  # from the start; NaN unless reached
+    candidate_s: float
+    status: ConvergenceStatus  # of the baseline where its errors do not fall, else of the candidate
+    ratio: float  # candidate over baseline, below 1 is sooner; NaN unless both are reached
+    low: float  # middle 95 % and 90 % of the ratios over resampled starts; NaN where the baseline does not fall
+    high: float
+    low90: float
+    high90: float
+    p: float  # share of those ratios that are not beyond the margin on the side of the ratio
+    starts: int
+
 
 NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
+
+
+def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict[str, MeasuredConvergence]:
+    """Compare the convergence of two filters from the same starts in all errors that measurements bring down.
+
+    By quantity of `errors.squared_errors`; those of `quantities.CONVERGED` have intervals. Empty where fewer than two
+    starts were drawn. The dive's own start is left out, since it lacks the errors that are to fall; so is the position,
+    of which no measurement tells.
+    """
+    if min(len(baseline.error), len(candidate.error)) < FEWEST_STARTS:
+        return {}
+    before, after = squared_errors(baseline), squared_errors(candidate)
+    found = {}
+    for quantity in before:
+        if quantity in after and quantity != "position_h":
+            squares, with_interval = (before[quantity][1:], after[quantity][1:]), quantity in CONVERGED.values()
+            known = np.all([np.isfinite(square).any(axis=0) for square in squares], axis=0)
+            if known.any():
+                found[quantity] = measured_convergence(*squares, baseline.time_s, with_interval=with_interval)
+    return found
+
+
+def measured_convergence(
+    baseline_sq: Floats,  # (s, k), squared errors from s starts; times at which no start has a number are left out
+    candidate_sq: Floats,  # (s, k), from the same starts
+    time_s: Floats,  # (k,), after the start, increasing
+    *,
+    with_interval: bool = True,
+) -> MeasuredConvergence:
+    """Find from when on two filters are as good as the baseline is at the end.
+
+    The rms of s normal draws has the standard error ``1 / sqrt(2 s)`` of itself: by so much it may exceed the target.
+    A filter that is there at once but not for good is as good at the start, and has nothing to bring down: a heading
+    that drifts, or a level that a straight dive does not show. The interval resamples the starts. In it a time at the
+    start counts as the first one, and never as infinite: where the candidate is never there, it says how surely.
+    """
+    known = np.isfinite(baseline_sq).any(axis=0) & np.isfinite(candidate_sq).any(axis=0)
+    at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
+    starts = len(before)
+
+    def reached_s(weights: Floats) -> tuple[Floats, Floats]:
+        """Return when both reach the limit, shape (r,), for weights of the starts in r means, shape (r, s)."""
+        baseline_mean_sq = weights @ before
+        limit_sq = limit_of(np.sqrt(baseline_mean_sq[:, -1]), starts) ** 2
+        return _stays_below_s(at_s, baseline_mean_sq, limit_sq), _stays_below_s(at_s, weights @ after, limit_sq)
+
+    (baseline_s,), (candidate_s,) = reached_s(np.full((1, starts), 1.0 / starts))
+    bounds, p, falls = np.full(4, np.nan), math.nan, _status(baseline_s) == ConvergenceStatus.REACHED
+    if falls and with_interval:
+        resampled = np.random.default_rng(SEED).multinomial(starts, np.full(starts, 1.0 / starts), RESAMPLES) / starts
+        baselines_s, candidates_s = reached_s(resampled)
+        ratios = np.maximum(candidates_s, at_s[0]) / np.maximum(baselines_s, at_s[0])
+        # No quantile is between two ratios: some may be infinite.
+        bounds = np.quantile(ratios, [0.025, 0.975, 0.05, 0.95], method="inverted_cdf")
+        is_sooner = candidate_s < baseline_s
+        p = float(np.mean(ratios * (1.0 + MARGIN) > 1.0 if is_sooner else ratios < 1.0 + MARGIN))
+    target, status = float(np.sqrt(before[:, -1].mean())), _status(candidate_s if falls else baseline_s)
+    baseline_s, candidate_s = (
+        float(time) if _status(time) == ConvergenceStatus.REACHED else math.nan for time in (baseline_s, candidate_s)
+    )
+    low, high, low90, high90 = bounds.tolist()
+    ratio = candidate_s / baseline_s
+    return MeasuredConvergence(target, baseline_s, candidate_s, status, ratio, low, high, low90, high90, p, starts)
+
+
+def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
+    """Return times that are ever further apart, shape (g,), and means over the last part of what has passed then.
+
+    The times, shape (k,), increase after the start. The means are of each of the squares: (s, k) becomes (s, g).
+    """
+    steps = np.arange(np.log(time_s[0] / time_s[-1]) // np.log(1.0 - STEP), -1.0, -1.0)
+    at_s = np.maximum(time_s[-1] * (1.0 - STEP) ** steps, time_s[0])
+    last = np.searchsorted(time_s, at_s, side="right")
+    first = np.minimum(np.searchsorted(time_s, (1.0 - LAST) * at_s, side="right"), last - 1)
+    # Not by differences of running sums: what errors begin with may be a billion times what they end with.
+    ends = np.column_stack([first, last]).ravel()
+    sums = (
+        np.add.reduceat(np.pad(np.fmin(square, BEYOND), ((0, 0), (0, 1))), ends, axis=1)[:, ::2] for square in squares
+    )
+    return at_s, *(total / (last - first) for total in sums)
+
+
+def limit_of(rms: Floats, starts: int) -> Floats:
+    """Return up to where a filter is as good as an rms over so many starts, which has a standard error of its own."""
+    return rms * (1.0 + 1.0 / math.sqrt(2.0 * starts))
+
+
+def _stays_below_s(at_s: Floats, mean_sq: Floats, limit_sq: Floats) -> Floats:
+    """Find from when on mean squares, shape (r, g), stay at or below their limits: 0 at the start, infinite never.
+
+    Between two times they are on a line.
+    """
+    rows, above = np.arange(len(mean_sq)), mean_sq > limit_sq[:, None]
+    last = len(at_s) - 1 - np.argmax(above[:, ::-1], axis=1)
+    following = np.minimum(last + 1, len(at_s) - 1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = (mean_sq[rows, last] - limit_sq) / (mean_sq[rows, last] - mean_sq[rows, following])
+        reached_s = at_s[last] + share * (at_s[following] - at_s[last])
+    return np.where(above[:, -1], np.inf, np.where(above[:, 0], reached_s, 0.0))
+
+
+def _status(reached_s: float) -> ConvergenceStatus:
+    if reached_s == 0.0:
+        return ConvergenceStatus.AT_START
+    return ConvergenceStatus.REACHED if np.isfinite(reached_s) else ConvergenceStatus.NEVER
+
+
+class ConvergenceCurves(NamedTuple):
+    """Errors of all filters from drawn starts in one quantity, at g times that are ever further apart."""
+
+    time_s: Floats  # (g,), after the start
+    rms: Mapping[str, Floats]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
+    believed: Mapping[str, Floats]  # (g,) by filter: what it predicts of them from its own start
+    limit: float  # below which a filter has converged
+
+
+def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
+    """Return the rms of each filter's true errors over its drawn starts, without the dive's own, by quantity."""
+    drawn = [errors for errors in drawn if len(errors.error) >= FEWEST_STARTS]
+    squares, curves = [squared_errors(errors) for errors in drawn], {}
+    for quantity, name in CONVERGED.items() if drawn else ():
+        found = [square[name][1:] for square in squares if name in square]
+        known = np.all([np.isfinite(square).any(axis=0) for square in found], axis=0)
+        if len(found) < len(drawn) or not known.any():
+            continue
+        for errors in drawn:
+            with np.errstate(over="ignore"):
+                predicted: dict[str, Floats] = {
+                    "velocity": (errors.sd[:, DV] ** 2)[:, :2].sum(axis=1),
+                    "level": (errors.sd[:, PHI] ** 2)[:, :2].mean(axis=1),
+                    "heading": errors.sd[:, PHI.stop - 1] ** 2,
+                }
+            found.append(predicted[quantity][None])
+        at_s, *means = over_last_part(drawn[0].time_s[known], *(square[:, known] for square in found))
+        names = [errors.filter for errors in drawn]
+        rms = dict(zip(names, [np.sqrt(mean.mean(axis=0)) for mean in means[: len(names)]], strict=True))
+        expected = dict(zip(names, [np.sqrt(mean[0]) for mean in means[len(names) :]], strict=True))
+        limit = float(limit_of(rms[names[0]][-1], len(found[0])))
+        curves[quantity] = ConvergenceCurves(at_s, rms, expected, limit)
+    return curves
+
+
+# --- The table: predicted convergence, and the measured one next to it.
 
 
 def convergence_table(
     log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]] = NOT_MEASURED
 ) -> list[ConvergenceRow]:
-    """State when each candidate became, and stayed, as sure as the baseline is at the end, and when it came nearest.
+    """Say when each candidate became, and stayed, as certain as the baseline is at the end, and when it came nearest.
 
-    A recorded solution has rows for those of the 12 states whose standard deviations it gives. Times count from the
+    There is a row for each of the twelve states that a candidate has a standard deviation of. Times count from the
     start; the baseline's time is its last ping.
     """
     baseline, *candidates = histories
     rows = []
+    baseline_time_s = seconds(baseline.time_ns, baseline.time_ns[0])
     for candidate in candidates:
-        pings = candidate.updated | (candidate.time_ns == candidate.time_ns[0])
-        for state in believed_states(candidate):
-            last = last_row(baseline, candidate)
-            target, baseline_s = float(baseline.sd[last, state.index]), _since_start_s(baseline, last)
-            told = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_read else pings
-            time_s = seconds(candidate.time_ns[told], candidate.time_ns[0])
-            reached_s, status = time_to_stay_below(time_s, candidate.sd[told, state.index], target)
-            faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else float("nan")
-            named = log, candidate.filter, state.id, state.unit
-            predicted = target / state.factor, baseline_s, reached_s, faster_pct
-            found = _measured(measured.get(candidate.filter, {}).get(state.id), state.factor)
-            unchanged_s = _stays_s(baseline, last, state.index)
-            nearest_s = nearest_approach_s(time_s, candidate.sd[told, state.index], target)
-            nearest = nearest_s, improvement_pct(baseline_s, nearest_s)
-            rows.append(ConvergenceRow(*named, *predicted, status, *found, unchanged_s, *nearest))
+        last, pings = last_row(baseline, candidate), candidate.updated | (candidate.time_ns == candidate.time_ns[0])
+        for state in predicted_states(candidate):
+            # What the baseline ends with, and when it came to stay there.
+            baseline_s, target = float(baseline_time_s[last]), float(baseline.sd[last, state.index])
+            seen = np.flatnonzero(baseline.updated[: last + 1] | (baseline_time_s[: last + 1] == 0.0))
+            unchanged_s, _ = time_to_stay_below(baseline_time_s[seen], baseline.sd[seen, state.index], target)
+            # When the candidate does.
+            told = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
+            time_s, sd = seconds(candidate.time_ns[told], candidate.time_ns[0]), candidate.sd[told, state.index]
+            reached_s, status = time_to_stay_below(time_s, sd, target)
+            faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else math.nan
+            nearest_s = nearest_approach_s(time_s, sd, target)
+            found = measured.get(candidate.filter, {}).get(state.id)
+            times = (math.nan, math.nan, math.nan, ConvergenceStatus.NOT_MEASURED)
+            if found is not None:
+                times = found.target / state.factor, found.baseline_s, found.candidate_s, found.status
+            rows.append(
+                ConvergenceRow(
+                    *(log, candidate.filter, state.id, state.unit),
+                    *(target / state.factor, baseline_s, reached_s, faster_pct),
+                    status,
+                    *times,
+                    unchanged_s=unchanged_s,
+                    nearest_approach_s=nearest_s,
+                    nearest_approach_improvement_pct=improvement_pct(baseline_s, nearest_s),
+                )
+            )
     return rows
-
-
-def _stays_s(baseline: History, last: int, state: int) -> float:
-    """Return when the baseline came to stay as sure as it is at the end; NaN where it always was."""
-    pings = np.flatnonzero(baseline.updated[: last + 1] | (baseline.time_ns[: last + 1] == baseline.time_ns[0]))
-    time_s = seconds(baseline.time_ns[pings], baseline.time_ns[0])
-    return time_to_stay_below(time_s, baseline.sd[pings, state], float(baseline.sd[last, state]))[0]
-
-
-def _since_start_s(history: History, row: int) -> float:
-    return float(seconds(history.time_ns[row : row + 1], history.time_ns[0])[0])
-
-
-def _measured(found: MeasuredConvergence | None, factor: float) -> tuple[float, float, float, str]:
-    if found is None:
-        return float("nan"), float("nan"), float("nan"), ConvergenceStatus.NOT_MEASURED
-    return found.target / factor, found.baseline_s, found.candidate_s, found.status
 
 
 def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
@@ -86,6 +265,3 @@ def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float
     drop = sd[last] - sd[last + 1]
     fraction = (sd[last] - target) / drop if np.isfinite(drop) else 1.0
     return float(time_s[last] + fraction * (time_s[last + 1] - time_s[last])), ConvergenceStatus.REACHED
-
-
-__all__ = ["NOT_MEASURED", "convergence_table", "measured_convergences", "nearest_approach_s", "time_to_stay_below"]

@@ -1,23 +1,31 @@
-"""How far a filter drifts over segments of a dive, and how its velocity errs along and across the course.
+"""How far each filter drifts from the reference, how its track would fit, and how often its position jumps.
 
 The position error at the end of a dive is one number, and its rms over the dive about two independent ones. Over
-segments only what is lost inside each counts, so that there are many. Sources: Geiger, Lenz and Urtasun, "Are we ready
-for autonomous driving? The KITTI vision benchmark suite", 2012, and Sturm et al., "A benchmark for the evaluation of
-RGB-D SLAM systems", 2012, for relative errors.
+segments only what is lost inside each counts, so that there are many. Where the filters went through a long gap of the
+IMU, nothing tells where the vehicle went meanwhile: then there are rows of the velocity alone.
+
+Sources: Geiger, Lenz and Urtasun, "Are we ready for autonomous driving? The KITTI vision benchmark suite", 2012, and
+Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", 2012, for relative errors; Umeyama, "Least-squares
+estimation of transformation parameters between two point patterns", 1991, for track fits, which in the plane are a
+linear regression between complex numbers.
 """
 
-from dataclasses import dataclass
-from typing import Final
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
-from insdvl_replay.evaluation.heading_fit import HeadingFit, heading_fit
-from insdvl_replay.evaluation.jumps import jump_table
-from insdvl_replay.evaluation.reference import ReferenceErrors
-from insdvl_replay.evaluation.track_fit import UNKNOWN, TrackFit, filter_track_fit
-from insdvl_replay.evaluation.travelled import thinned
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
+from insdvl_replay.core.states import DEG
+from insdvl_replay.core.tables import DriftRow, JumpRow, TrackFitRow
+from insdvl_replay.evaluation.errors import SHORTEST_M, DrawnErrors, ReferenceErrors, reference_distance_m
+from insdvl_replay.evaluation.series import samples_in_mean, thinned
+from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, unexplained_m
 
 SEGMENT_S: Final = 60.0
 SEGMENT_M: Final = 100.0
@@ -29,33 +37,38 @@ ROUNDING: Final = 1e-6
 """Share of a segment that sums of speeds and steps may be short of it."""
 SLOWEST_MPS: Final = 0.1
 """A slower vehicle has no course."""
+SMALLEST_JUMP_M: Final = 0.5
+"""Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres."""
+AVERAGED_S: Final = 20.0
+"""Residuals of tracks are averaged over so long. What is left is what dead reckoning loses, not a fix's noise."""
+FEWEST_AVERAGES: Final = 6
+"""From fewer there is no standard error."""
 
-Indices = NDArray[np.int64]
+Complexes = NDArray[np.complex128]
 
 
-@dataclass(frozen=True)
-class Segments:
+# --- Drift over segments, and velocity errors along and across the course.
+
+
+class Segments(NamedTuple):
     """m pairs of the compared times, the same for all filters of a dive."""
 
     start_ns: TimeNs
     end_ns: TimeNs
-    first: Indices  # rows of `ReferenceErrors` at the ends
-    last: Indices
-    steps: int  # following segments that one overlaps with: the least block of `paired_statistics.paired_ratio`
+    first: NDArray[np.int64]  # rows of the compared times
+    last: NDArray[np.int64]
+    steps: int  # following segments that one overlaps with: the least block of `series.paired_ratio`
 
 
-@dataclass(frozen=True)
-class Drift:
-    """How much a filter's position error changes over each segment. NaN where the reference or the filter has none."""
+class Drift(NamedTuple):
+    """How much a filter's position error changes over each segment, shape (..., m); NaN where it is not known."""
 
-    segments: Segments
     horizontal_m: Floats  # length of the change
     down_m: Floats  # with its sign
 
 
-@dataclass(frozen=True)
-class CourseErrors:
-    """Horizontal velocity error along and across (to starboard of) the reference's course over ground.
+class CourseErrors(NamedTuple):
+    """Horizontal velocity error along and across (to starboard of) the reference's course, shape (..., k).
 
     NaN where the reference has no velocity, or is slower than `SLOWEST_MPS`.
     """
@@ -70,26 +83,8 @@ def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
 
 
 def distance_segments(time_ns: TimeNs, distance_m: Floats, length_m: float = SEGMENT_M) -> Segments:
-    """Choose overlapping segments of a length along the way, by the distance from `travelled.reference_distance_m`."""
+    """Choose overlapping segments of a distance travelled, by that from `errors.reference_distance_m`."""
     return _segments(time_ns, distance_m, length_m)
-
-
-def segment_drift(errors: ReferenceErrors, segments: Segments) -> Drift:
-    """Return what a filter's position error changes by over each segment, between corrections of the position."""
-    change_ned_m = errors.drifting_ned_m[segments.last] - errors.drifting_ned_m[segments.first]
-    return Drift(segments, np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]), change_ned_m[:, 2])
-
-
-def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> CourseErrors:
-    """Turn a filter's horizontal velocity error to the reference's course over ground."""
-    velocity_n = reference.velocity_n[np.searchsorted(reference.time_ns, errors.time_ns), :2]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        speed_mps = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
-        course = np.where(speed_mps[:, None] >= SLOWEST_MPS, velocity_n / speed_mps[:, None], np.nan)
-    north_mps, east_mps = errors.velocity_error_n[:, :2].T
-    return CourseErrors(
-        course[:, 0] * north_mps + course[:, 1] * east_mps, course[:, 0] * east_mps - course[:, 1] * north_mps
-    )
 
 
 def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
@@ -104,31 +99,227 @@ def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
     last = np.where(travelled[after] - end > end - travelled[after - 1], after - 1, after)
     whole = np.abs(travelled[last] - travelled[first] - length) <= ABOUT * length
     first, last = first[whole], last[whole]
-    # Those of a vehicle that stops on the way hold many more.
+    # Segments of a vehicle that stops on the way hold many more.
     inside = np.searchsorted(first, last) - np.arange(len(first))
     steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
     return Segments(time_ns[first], time_ns[last], first, last, steps)
 
 
-__all__ = [
-    "ABOUT",
-    "ROUNDING",
-    "SEGMENT_M",
-    "SEGMENT_S",
-    "SLOWEST_MPS",
-    "STEP_S",
-    "UNKNOWN",
-    "CourseErrors",
-    "Drift",
-    "HeadingFit",
-    "Indices",
-    "Segments",
-    "TrackFit",
-    "course_errors",
-    "distance_segments",
-    "filter_track_fit",
-    "heading_fit",
-    "jump_table",
-    "segment_drift",
-    "time_segments",
-]
+def segment_drift(errors: ReferenceErrors | DrawnErrors, segments: Segments) -> Drift:
+    """Return what the position error changes by over each segment, between corrections of the position."""
+    drifting_ned_m = errors.drifting_ned_m
+    change_ned_m = drifting_ned_m[..., segments.last, :] - drifting_ned_m[..., segments.first, :]
+    return Drift(np.hypot(change_ned_m[..., 0], change_ned_m[..., 1]), change_ned_m[..., 2])
+
+
+def course_errors(errors: ReferenceErrors | DrawnErrors, reference: ReferenceColumns) -> CourseErrors:
+    """Turn the horizontal velocity error to the reference's course over ground."""
+    velocity_n = reference.velocity_n[np.searchsorted(reference.time_ns, errors.time_ns), :2]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed_mps = np.hypot(velocity_n[:, 0], velocity_n[:, 1])
+        course = np.where(speed_mps[:, None] >= SLOWEST_MPS, velocity_n / speed_mps[:, None], np.nan)
+    north_mps, east_mps = errors.velocity_error_n[..., 0], errors.velocity_error_n[..., 1]
+    return CourseErrors(
+        course[:, 0] * north_mps + course[:, 1] * east_mps, course[:, 0] * east_mps - course[:, 1] * north_mps
+    )
+
+
+def drift_table(
+    log: str,
+    errors: Mapping[str, ReferenceErrors],  # by filter, of the run from the dive's own start
+    reference: ReferenceColumns,
+    start_ns: int,  # the times of the worst count from here
+    *,
+    bridged_gaps: bool = False,  # the filters went through long gaps of the IMU
+) -> list[DriftRow]:
+    """Say how large the errors of each filter are half of the time, nearly always and at worst.
+
+    There are rows of as many of `DRIFT_QUANTITIES` as the dive gives numbers for.
+    """
+    sizes: dict[str, dict[str, tuple[Floats, TimeNs, TimeNs]]] = {}  # each error with the times between which it arose
+    for name, found in errors.items():
+        time_ns = found.time_ns
+        distance_m = reference_distance_m(reference, time_ns) if len(time_ns) else np.empty(0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            course, position_m = course_errors(found, reference), np.hypot(*found.position_error_ned_m[:, :2].T)
+            over_time, over_distance = time_segments(time_ns), distance_segments(time_ns, distance_m)
+            sizes[name] = {
+                "position_h": (position_m, time_ns, time_ns),
+                "drift_60s": (segment_drift(found, over_time).horizontal_m, *over_time[:2]),
+                "drift_100m": (segment_drift(found, over_distance).horizontal_m, *over_distance[:2]),
+                "velocity_along": (np.abs(course.along_mps), time_ns, time_ns),
+                "velocity_across": (np.abs(course.across_mps), time_ns, time_ns),
+            }
+    kept = [quantity for quantity in DRIFT_QUANTITIES if not bridged_gaps or quantity.startswith("velocity")]
+    kept = [quantity for quantity in kept if any(np.isfinite(found[quantity][0]).any() for found in sizes.values())]
+    rows = []
+    for name, quantity in [(name, quantity) for name in errors for quantity in kept]:
+        size, from_ns, to_ns = sizes[name][quantity]
+        known, distance = np.flatnonzero(np.isfinite(size)), errors[name].distance_m
+        named = log, name, quantity, DRIFT_QUANTITIES[quantity]
+        if not len(known):
+            rows.append(DriftRow(*named, 0, *[float("nan")] * 9))
+            continue
+        p50, p95 = np.quantile(size[known], [0.5, 0.95]).tolist()
+        with np.errstate(over="ignore"):
+            rms = float(np.sqrt(np.mean(size[known] ** 2)))
+        worst, final = known[np.argmax(size[known])], float(size[known[-1]])
+        from_s, to_s = ((int(ends_ns[worst]) - start_ns) / NS_PER_S for ends_ns in (from_ns, to_ns))
+        has_share = quantity == "position_h" and distance >= SHORTEST_M
+        final_pct = 100.0 * final / distance if has_share else float("nan")
+        largest = float(size[worst]), from_s, to_s
+        rows.append(DriftRow(*named, len(known), p50, p95, rms, *largest, final, distance, final_pct))
+    return rows
+
+
+# --- The scale, the turn and the start that would align a filter's track with the reference's.
+
+
+class TrackFit(NamedTuple):
+    """What would align the filter's track with the reference's, with standard errors; NaN where it is not known."""
+
+    scale_pct: float  # the factor less one: positive where the filter's track is too small
+    scale_sd_pct: float
+    turn_deg: float  # clockwise seen from above, as a heading
+    turn_sd_deg: float
+
+
+UNKNOWN: Final = TrackFit(float("nan"), float("nan"), float("nan"), float("nan"))
+
+
+def track_fit_table(log: str, errors: Mapping[str, ReferenceErrors], reference: ReferenceColumns) -> list[TrackFitRow]:
+    """Return the scale and the turn of each filter's track; no rows where no track of the reference is long enough."""
+    rows = []
+    for name, found in errors.items():
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            fit = filter_track_fit(found, reference)
+        numbers = {"scale": (fit.scale_pct, fit.scale_sd_pct), "turn": (fit.turn_deg, fit.turn_sd_deg)}
+        for quantity, unit in TRACK_FIT_QUANTITIES.items() if np.isfinite(fit.scale_pct) else ():
+            rows.append(TrackFitRow(log, name, quantity, unit, *numbers[quantity]))
+    return rows
+
+
+def filter_track_fit(errors: ReferenceErrors, reference: ReferenceColumns) -> TrackFit:
+    """Fit a filter's track to the reference's at the times where they are compared."""
+    position = reference.position[np.searchsorted(reference.time_ns, errors.time_ns)]
+    known = np.isfinite(position[:, :2]).all(axis=1) & np.isfinite(errors.position_error_ned_m[:, :2]).all(axis=1)
+    if not known.any():
+        return UNKNOWN
+    origin = position[known][0]
+    track_m = np.stack(north_east_m(position[known], origin, origin), axis=1)
+    return track_fit(errors.time_ns[known], track_m + errors.position_error_ned_m[known, :2], track_m)
+
+
+def track_fit(
+    time_ns: TimeNs,  # (k,), in order
+    estimated_m: Floats,  # (k, 2), north, east
+    reference_m: Floats,
+) -> TrackFit:
+    """Find scale, turn and shift, in closed form, that align one track with another.
+
+    Residuals of dead reckoning wander, so that their own sum says nothing of the certainty. The standard errors come
+    from their changes between averages, which are nearly independent. Noise of the reference makes them too large
+    rather than too small. Unknown where the reference's track is not `SHORTEST_M` across.
+    """
+    if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
+        return UNKNOWN
+    estimated, reference = (np.asarray(track @ [1.0, 1.0j]) for track in (estimated_m, reference_m))
+    estimated, reference = estimated - estimated.mean(), reference - reference.mean()
+    squares = float(np.sum(np.abs(estimated) ** 2))
+    similarity = complex(np.vdot(estimated, reference) / squares) if squares else 0.0
+    if similarity == 0.0:
+        return UNKNOWN
+    weights = estimated.conj() / (squares * similarity)
+    changes, scale_sd, turn_sd = _changes(time_ns, weights, reference - similarity * estimated), math.nan, math.nan
+    if len(changes) >= FEWEST_AVERAGES:
+        # Of a sum of parts that may be correlated with their neighbours.
+        scale_sd, turn_sd = (
+            float(np.sqrt(np.sum(part**2) * len(part) / samples_in_mean(part))) for part in (changes.real, changes.imag)
+        )
+    scale_pct, turn_deg = 100.0 * (abs(similarity) - 1.0), float(np.angle(similarity)) / DEG
+    return TrackFit(scale_pct, 100.0 * scale_sd, turn_deg, turn_sd / DEG)
+
+
+def _changes(time_ns: TimeNs, weights: Complexes, residuals: Complexes) -> Complexes:
+    """Return what each change between averaged residuals adds to what was fitted with weights, shape (..., k).
+
+    Each change moves all that follows it, with the weight that the points behind it have in the fit.
+    """
+    first = thinned(time_ns, AVERAGED_S)
+    averages = np.add.reduceat(residuals, first) / np.diff(first, append=len(time_ns))
+    behind = np.cumsum(np.add.reduceat(weights, first, axis=-1)[..., ::-1], axis=-1)[..., ::-1]
+    return np.asarray(behind[..., 1:] * np.diff(averages))
+
+
+class HeadingFit(NamedTuple):
+    """How a start has to change for its track to fit the reference's."""
+
+    heading: float  # rad
+    heading_sd: float
+    bias: float  # of the gyro about down, rad/s
+    bias_sd: float
+
+
+def heading_fit(
+    time_ns: TimeNs,  # (k,), in order
+    estimated_m: Floats,  # (k, 2), north, east
+    per_heading_m: Floats,  # (k, 2), derivative of the estimated track, m/rad
+    per_bias_m: Floats,  # (k, 2), m/(rad/s)
+    reference_m: Floats,  # (k, 2)
+    known_bias: tuple[float, float],  # by how much the track's bias exceeds its prior, and the prior's sd, rad/s
+) -> HeadingFit | None:
+    """Fit heading and gyro bias at the start by least squares, with shift and scale, which is the DVL's.
+
+    None where the reference's track is not `SHORTEST_M` across, or too short for a standard error.
+    """
+    if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
+        return None
+    columns, off_m = np.stack([per_heading_m, per_bias_m, estimated_m], axis=2), reference_m - estimated_m
+    columns, off_m = columns - columns.mean(axis=0), off_m - off_m.mean(axis=0)
+    weights = np.linalg.pinv(columns.reshape(-1, 3)).reshape(3, -1, 2)
+    found = np.einsum("ika,ka->i", weights, off_m)
+    changes = _changes(time_ns, weights @ [1.0, -1.0j], (off_m - columns @ found) @ [1.0, 1.0j]).real
+    if changes.shape[1] < FEWEST_AVERAGES:
+        return None
+    correlated = np.sqrt([len(part) / max(samples_in_mean(part), 1.0) for part in changes])
+    cov = changes @ changes.T * np.outer(correlated, correlated)
+    # What was known of the bias is one measurement more, which the heading follows as the track couples them.
+    exceeds, prior_sd = known_bias
+    variance = float(cov[1, 1]) + prior_sd**2
+    gain = cov[:2, 1] / variance
+    heading, bias = (found[:2] - gain * (exceeds + found[1])).tolist()
+    heading_sd, bias_sd = np.sqrt(np.diag(cov)[:2] - gain**2 * variance).tolist()
+    return HeadingFit(heading, heading_sd, bias, bias_sd)
+
+
+# --- Jumps.
+
+
+def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, ReferenceColumns]) -> list[JumpRow]:
+    """Count the steps of a position that neither its own velocity nor the steps around explain, see `geometry.frames`.
+
+    There is a row for each filter whose position can jump: it estimates its position, or has a recorded motion in
+    ``motions``, which is looked at from sample to sample. A filter that goes by its velocity alone has none.
+    """
+    rows = []
+    for history in histories:
+        if not (history.filter in motions or history.estimates_position):
+            continue
+        start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
+        recorded = motions.get(history.filter)
+        motion = history.motion() if recorded is None else recorded.within(start_ns, end_ns)
+        # Positions that are told again and again until there is a new one count once; the velocities all stay.
+        placed = np.flatnonzero(motion.known["positions"])
+        again = placed[1:][(np.diff(motion.position[placed, :2], axis=0) == 0.0).all(axis=1)]
+        if len(again):
+            position = motion.position.copy()
+            position[again] = np.nan
+            motion = replace(motion, position=position)
+        unlike_m = unexplained_m(steps_of(motion))
+        known = np.flatnonzero(np.isfinite(unlike_m))
+        if len(known):
+            largest = int(known[np.argmax(unlike_m[known])])
+            at_s = (int(motion.time_ns[motion.known["positions"]][largest + 1]) - start_ns) * 1e-9
+            jumps = len(find_jumps(unlike_m, SMALLEST_JUMP_M))
+            rows.append(JumpRow(log, history.filter, len(known), jumps, float(unlike_m[largest]), at_s))
+    return rows

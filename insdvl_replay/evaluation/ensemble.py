@@ -1,9 +1,9 @@
-"""Many runs of a simulated dive: true errors, NEES, and what they say of the uncertainty that the filters believe in.
+"""Many runs of a simulated dive: true errors and NEES, next to the uncertainty that the filters predict.
 
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,52 +13,33 @@ import pandas as pd
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TruthColumns, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.words import Consistency
-from insdvl_replay.evaluation.believed import improvement_pct
-from insdvl_replay.evaluation.chi_square import consistency_word, mean_interval, reason
-from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
-from insdvl_replay.evaluation.state_errors import nees, state_errors
+from insdvl_replay.core.words import Consistency, Reason
+from insdvl_replay.evaluation.chi_square import FEWEST_UPDATES, consistency_verdict, mean_interval
+from insdvl_replay.evaluation.credibility import nees, state_errors
+from insdvl_replay.evaluation.predicted import improvement_pct
+
+DOF: Final = len(STATES)
+"""Degrees of freedom of one NEES."""
+SOON_S: Final = 1.5
+"""After an outage: with pings each second, after the second of them."""
+LATER_S: Final = 60.0
+"""After an outage: what a correction of large errors leaves behind has had time to show."""
+FACTORS: Final = np.array([state.factor for state in STATES])
 
 
 @dataclass(frozen=True)
 class RunErrors:
-    """How far one filter was off in one run, at the start and after each ping.
-
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        From the start.
-    error : ndarray, shape (k, 12)
-        Estimated minus true, in the order of `states.STATES`; a bias is what is left in the compensated readings.
-    var : ndarray, shape (k, 12)
-        Diagonal of P.
-    nees : ndarray, shape (k,)
-        Normalised error squared, x' P^-1 x; 12 in the mean of a consistent filter.
-    """
+    """How far one filter was off in one run, at the start and after each ping."""
 
     filter: str
-    time_s: Floats
-    error: Floats
-    var: Floats
-    nees: Floats
+    time_s: Floats  # (k,), from the start
+    error: Floats  # (k, 12), estimated minus true; a bias is what is left in the compensated readings
+    var: Floats  # (k, 12), diagonal of P
+    nees: Floats  # (k,), x' P^-1 x; 12 in the mean of a consistent filter
 
 
 def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumns) -> RunErrors:
-    """Compare one filter with the truth.
-
-    Parameters
-    ----------
-    history : History
-        With P at the times to compare.
-    reference : ReferenceColumns
-        The exact motion.
-    truth : TruthColumns
-        The biases at the same times.
-
-    Returns
-    -------
-    RunErrors
-        At the times that all three have.
+    """Compare one filter with the exact motion and the true biases, at the times of P that all three have.
 
     Raises
     ------
@@ -68,36 +49,21 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
     errors = state_errors(history, reference, truth)
     if not len(errors.time_ns):
         raise ValueError("NEES needs all of P")
-    time_s = seconds(errors.time_ns, history.time_ns[0])
-    error, cov = errors.error[:, : len(STATES)], errors.cov[:, : len(STATES), : len(STATES)]
-    return RunErrors(history.filter, time_s, error, errors.sd[:, : len(STATES)] ** 2, nees(error, cov))
+    time_s, error, cov = seconds(errors.time_ns, history.time_ns[0]), errors.error[:, :DOF], errors.cov[:, :DOF, :DOF]
+    return RunErrors(history.filter, time_s, error, np.diagonal(cov, axis1=1, axis2=2).copy(), nees(error, cov))
 
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The runs of one filter, taken together at each time.
-
-    Attributes
-    ----------
-    runs : int
-        How many.
-    time_s : ndarray, shape (k,)
-        From the start.
-    sd : ndarray, shape (k, 12)
-        What the filter believes: root of the mean of P's diagonal over the runs.
-    error_sd, error_mean : ndarray, shape (k, 12)
-        Standard deviation and mean of the true errors over the runs.
-    nees : ndarray, shape (k,)
-        Mean over the runs.
-    """
+    """The runs of one filter, taken together at each time."""
 
     filter: str
     runs: int
-    time_s: Floats
-    sd: Floats
-    error_sd: Floats
-    error_mean: Floats
-    nees: Floats
+    time_s: Floats  # (k,), from the start
+    sd: Floats  # (k, 12), what the filter predicts: root of the mean of P's diagonal over the runs
+    error_sd: Floats  # (k, 12), standard deviation and mean of the true errors over the runs
+    error_mean: Floats  # (k, 12)
+    nees: Floats  # (k,), mean over the runs
 
     @property
     def error_rms(self) -> Floats:
@@ -109,17 +75,9 @@ class Ensemble:
 class Tally:
     """The runs of one filter, added up one after the other, so that memory does not grow with their number.
 
-    Mean and squares are updated run by run, after Welford: a mean far from zero costs no digits.
-
-    Parameters
-    ----------
-    first : RunErrors
-        Gives the filter's name and the times; not yet added.
-
-    Attributes
-    ----------
-    nees_by_run : list of tuple of float
-        Of each run, NEES in the mean over its pings and after the last.
+    Mean and squares are updated run by run, after Welford: a mean far from zero costs no digits. The first run gives
+    the filter's name and the times; it is not yet added. ``nees_by_run`` holds of each run NEES in the mean over its
+    pings and after the last.
     """
 
     def __init__(self, first: RunErrors) -> None:
@@ -151,74 +109,53 @@ class Tally:
         )
 
 
-DOF: Final = len(STATES)
-"""Degrees of freedom of one NEES."""
-SOON_S: Final = 1.5
-"""After an outage: with pings each second, after the second of them."""
-LATER_S: Final = 60.0
-"""After an outage: what a correction of large errors leaves behind has had time to show."""
+# --- Tables of a Monte Carlo study. The first filter is the baseline.
 
 
 def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Set what each filter believes at the end beside what is so, state by state.
+    """Return what each filter predicts at the end next to what is so, 12 rows for each filter.
 
-    Parameters
-    ----------
-    ensembles : sequence of Ensemble
-        The first is the baseline.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, state, unit, final_sd (from P), ensemble_sd, ensemble_mean, rms_error, ratio (rms_error over
-        final_sd), believed_improvement_pct and true_improvement_pct (of final_sd and rms_error against the baseline's;
-        NaN for itself); 12 rows for each filter. All of them after the last ping.
+    ``final_sd`` is from P, ``ratio`` is rms_error over final_sd; the improvements are of final_sd and rms_error against
+    the baseline's, NaN for itself.
     """
-    baseline, rows = ensembles[0], []
+    baseline, tables = ensembles[0], []
     for ensemble in ensembles:
-        for state in STATES:
-            sd, error_sd, mean, rms, *before = (
-                float(column[-1, state.index]) / state.factor
-                for column in (
-                    ensemble.sd,
-                    ensemble.error_sd,
-                    ensemble.error_mean,
-                    ensemble.error_rms,
-                    baseline.sd,
-                    baseline.error_rms,
-                )
-            )
-            changes = [improvement_pct(old, new) for old, new in zip(before, (sd, rms), strict=True)]
-            changes = [float("nan")] * 2 if ensemble is baseline else changes
-            rows.append((ensemble.filter, state.id, state.unit, sd, error_sd, mean, rms, rms / sd, *changes))
-    names = [
-        "filter", "state", "unit", "final_sd", "ensemble_sd", "ensemble_mean", "rms_error", "ratio",
-        "believed_improvement_pct", "true_improvement_pct",
-    ]  # fmt: skip
-    return pd.DataFrame(rows, columns=names)
+        ends = {
+            "final_sd": ensemble.sd[-1] / FACTORS,
+            "ensemble_sd": ensemble.error_sd[-1] / FACTORS,
+            "ensemble_mean": ensemble.error_mean[-1] / FACTORS,
+            "rms_error": ensemble.error_rms[-1] / FACTORS,
+        }
+        ends["ratio"] = ends["rms_error"] / ends["final_sd"]
+        before = baseline.sd[-1] / FACTORS, baseline.error_rms[-1] / FACTORS
+        names = "believed_improvement_pct", "true_improvement_pct"
+        for name, old, new in zip(names, before, (ends["final_sd"], ends["rms_error"]), strict=True):
+            changes = [improvement_pct(*pair) for pair in zip(old.tolist(), new.tolist(), strict=True)]
+            ends[name] = np.full(DOF, np.nan) if ensemble is baseline else np.array(changes)
+        tables.append(pd.DataFrame({**_states(ensemble.filter), **ends}))
+    return pd.concat(tables, ignore_index=True)
+
+
+def _states(name: str) -> dict[str, str | list[str]]:
+    return {"filter": name, "state": [state.id for state in STATES], "unit": [state.unit for state in STATES]}
 
 
 def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Judge each filter by its NEES.
 
-    NEES at neighbouring times are nearly the same number. The mean over the dive is therefore held against the interval
-    of a single time, which is too wide for it and never too narrow.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, runs, dof, mean_nees (over runs and pings), low, high (95 % interval at one time), inside_pct
-        (share of pings inside it), final_nees, verdict (``consistent``, ``over-confident``, ``over-cautious``, ``too
-        few``, ``not finite``), why (it is consistent outside the interval).
+    NEES at neighbouring times are nearly the same number. The mean over the dive is therefore compared with the
+    interval of a single time, which is too wide for it and never too narrow. ``inside_pct`` is the share of pings
+    inside it.
     """
     rows = []
     for ensemble in ensembles:
         at_pings = ensemble.nees[1:]
         low, high = mean_interval(DOF, ensemble.runs)
-        mean = float(at_pings.mean())
-        inside_pct = 100.0 * float(np.mean((at_pings >= low) & (at_pings <= high)))
-        word = Consistency.TOO_FEW if ensemble.runs < FEWEST_UPDATES else consistency_word(mean, low, high, DOF)
-        judged = inside_pct, float(at_pings[-1]), word, reason(word, mean, low, high)
+        mean, inside = float(at_pings.mean()), (at_pings >= low) & (at_pings <= high)
+        word, why = consistency_verdict(mean, low, high, DOF)
+        if ensemble.runs < FEWEST_UPDATES:
+            word, why = Consistency.TOO_FEW, Reason.NONE
+        judged = 100.0 * float(np.mean(inside)), float(at_pings[-1]), word, why
         rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, *judged))
     names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict", "why"]
     return pd.DataFrame(rows, columns=names)
@@ -227,50 +164,24 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
 def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]) -> pd.DataFrame:
     """Follow the mean NEES through outages of the DVL: what an INS alone did, and how a filter comes back from it.
 
-    Parameters
-    ----------
-    outages : sequence of (start_s, end_s)
-        Seconds from the start.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, start_s, end_s, and the mean NEES over the runs nees_before, nees_last (at the last time of the
-        outage), nees_soon (`SOON_S` after it), nees_later (`LATER_S` after it), nees_final (at the end of the dive);
-        NaN where the dive does not reach so far.
+    Outages have a start and an end, seconds from the start of the dive. There are columns at the last time before the
+    outage, its last time, `SOON_S` and `LATER_S` after it, and at the end of the dive; NaN where the dive does not
+    reach so far.
     """
-    rows = [
-        (ensemble.filter, start_s, end_s, *_through(ensemble, start_s, end_s))
-        for ensemble in ensembles
-        for start_s, end_s in outages
-    ]
+    rows = []
+    for ensemble in ensembles:
+        for start_s, end_s in outages:
+            at_s = np.array([start_s, end_s, end_s + SOON_S, end_s + LATER_S])
+            found = np.searchsorted(ensemble.time_s, at_s) - 1
+            reached = (found >= 0) & (at_s <= ensemble.time_s[-1] + SOON_S)
+            sizes = np.where(reached, ensemble.nees[found], np.nan)
+            rows.append((ensemble.filter, start_s, end_s, *sizes.tolist(), float(ensemble.nees[-1])))
     names = ["filter", "start_s", "end_s", "nees_before", "nees_last", "nees_soon", "nees_later", "nees_final"]
     return pd.DataFrame(rows, columns=names)
 
 
-def _through(ensemble: Ensemble, start_s: float, end_s: float) -> Iterator[float]:
-    for time_s in (start_s, end_s, end_s + SOON_S, end_s + LATER_S):
-        row = int(np.searchsorted(ensemble.time_s, time_s)) - 1
-        reached = row >= 0 and time_s <= ensemble.time_s[-1] + SOON_S
-        yield float(ensemble.nees[row]) if reached else float("nan")
-    yield float(ensemble.nees[-1])
-
-
 def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:
-    """List the runs, so that an odd one can be found and repeated.
-
-    Parameters
-    ----------
-    seeds : sequence of int
-        Of each run.
-    tallies : sequence of Tally
-        One for each filter, with all runs.
-
-    Returns
-    -------
-    DataFrame
-        Columns run (from 1), seed, filter, mean_nees (over pings), final_nees.
-    """
+    """List the runs of each filter with their seeds, so that an odd one can be found and repeated."""
     rows = [
         (run, seed, tally.filter, *tally.nees_by_run[run - 1]) for run, seed in enumerate(seeds, 1) for tally in tallies
     ]
@@ -278,37 +189,18 @@ def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:
 
 
 def run_table(errors: Sequence[RunErrors]) -> pd.DataFrame:
-    """Lay the true errors of one run beside what each filter believes, after the last ping.
-
-    Parameters
-    ----------
-    errors : sequence of RunErrors
-        One for each filter.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, state, unit, error, sd, ratio (error over sd), mean_nees, final_nees; 12 rows for each filter.
-    """
-    rows = []
+    """Return the true errors of one run next to what each filter predicts, after the last ping."""
+    tables = []
     for run in errors:
-        for state in STATES:
-            error = float(run.error[-1, state.index]) / state.factor
-            sd = float(np.sqrt(run.var[-1, state.index])) / state.factor
-            whole = (float(run.nees[1:].mean()), float(run.nees[-1]))
-            rows.append((run.filter, state.id, state.unit, error, sd, error / sd, *whole))
-    names = ["filter", "state", "unit", "error", "sd", "ratio", "mean_nees", "final_nees"]
-    return pd.DataFrame(rows, columns=names)
+        error, sd = run.error[-1] / FACTORS, np.sqrt(run.var[-1]) / FACTORS
+        ends = {"error": error, "sd": sd, "ratio": error / sd}
+        sizes = {"mean_nees": float(run.nees[1:].mean()), "final_nees": float(run.nees[-1])}
+        tables.append(pd.DataFrame({**_states(run.filter), **ends, **sizes}))
+    return pd.concat(tables, ignore_index=True)
 
 
 def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Lay the mean NEES out over time.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, time_s, mean_nees, low, high (95 % interval).
-    """
+    """Return the mean NEES over time with its 95 % interval."""
     tables = []
     for ensemble in ensembles:
         low, high = mean_interval(DOF, ensemble.runs)
@@ -318,13 +210,7 @@ def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
 
 
 def ensemble_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Lay sigma, ensemble sigma and ensemble mean out over time, in shown units.
-
-    Returns
-    -------
-    DataFrame
-        Columns filter, state, unit, time_s, sd, ensemble_sd, ensemble_mean.
-    """
+    """Return sigma, ensemble sigma and ensemble mean over time, in shown units."""
     tables = []
     for ensemble in ensembles:
         for state in STATES:

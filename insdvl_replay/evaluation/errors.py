@@ -1,36 +1,398 @@
-"""The names of this chapter."""
+"""Errors against the reference, at the reference's own times: of one run, of runs from drawn starts, and their table.
 
-from insdvl_replay.evaluation.acceleration import (
-    acceleration_at,
-    differentiated_over_s,
-    reference_acceleration,
-    vector_rmse,
-)
-from insdvl_replay.evaluation.coverage import WELL_COVERED, covered_share
-from insdvl_replay.evaluation.drawn_errors import (
-    DrawnErrors,
-    RunFromStart,
-    drawn_errors,
-    run_from_start,
-    squared_errors,
-)
-from insdvl_replay.evaluation.reference import ReferenceErrors, attitude_error, reference_errors
-from insdvl_replay.evaluation.state_errors import motion_error
+Errors are estimated minus reference, NaN where either says nothing. Percentages are of the distance travelled, which
+is the reference's wherever it can be measured.
+"""
 
-__all__ = [
-    "WELL_COVERED",
-    "DrawnErrors",
-    "ReferenceErrors",
-    "RunFromStart",
-    "acceleration_at",
-    "attitude_error",
-    "covered_share",
-    "differentiated_over_s",
-    "drawn_errors",
-    "motion_error",
-    "reference_acceleration",
-    "reference_errors",
-    "run_from_start",
-    "squared_errors",
-    "vector_rmse",
-]
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns, nanoseconds, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
+from insdvl_replay.core.states import BA, BG, DEG, DV, PHI, POSITION, STATES
+from insdvl_replay.core.tables import ReferenceErrorRow
+from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.evaluation.predicted import improvement_pct
+from insdvl_replay.evaluation.series import thinned
+from insdvl_replay.geometry.frames import north_east_down_m, north_east_m
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
+
+WELL_COVERED: Final = 0.9
+"""Share of a replay that has to be covered before errors count as those of the whole."""
+USUAL_STEPS: Final = 5.0
+"""A step to the next number of up to so many usual ones is no hole."""
+SHORT_S: Final = 2.5
+"""Nor is a shorter one."""
+CHORD_S: Final = 10.0
+"""Steps between positions that are shorter add up their noise rather than the distance."""
+SHORTEST_M: Final = 10.0
+"""Over a shorter distance there are no percentages: at rest a filter's noise alone travels some metres."""
+DEAD_RECKONED: Final = ("position_h", "depth", "position_h_pct")
+"""Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""
+
+Known = NDArray[np.bool_]
+
+
+# --- What the reference covers, and how far the vehicle went.
+
+
+def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> float:
+    """Return the share of a span, 0 to 1, that lies between numbers that follow each other about as usual."""
+    known_ns = time_ns[known]
+    steps_ns = np.diff(known_ns[(known_ns >= start_ns) & (known_ns <= end_ns)])
+    if not steps_ns.size:
+        return 0.0
+    longest_ns = max(USUAL_STEPS * float(np.median(steps_ns)), nanoseconds(SHORT_S))
+    return float(steps_ns[steps_ns <= longest_ns].sum() / (end_ns - start_ns))
+
+
+def compared_distance_m(reference: ReferenceColumns, baseline: History, time_ns: TimeNs) -> float:
+    """Return the horizontal distance from the start to the last compared position, the same for all filters.
+
+    It is the reference's wherever its velocities, or else its positions, cover the span: a filter's distance errs as
+    the filter does. Chords between noisy positions are too long, so that the shorter of them and the baseline's
+    distance counts. With fixes before and after a dive alone, it is the baseline's.
+    """
+    if not len(time_ns):
+        return 0.0
+    start_ns, end_ns = int(baseline.time_ns[0]), int(time_ns[-1])
+    estimated_m = distance_travelled_m(baseline, time_ns)
+    within = reference.within(start_ns, end_ns)
+    by_speed, by_positions = (
+        covered_share(within.time_ns, within.known[quantity], start_ns, end_ns) >= WELL_COVERED
+        for quantity in ("velocities", "positions")
+    )
+    if not (by_speed or by_positions):
+        return estimated_m
+    referred_m = float(reference_distance_m(within, np.union1d(start_ns, within.time_ns))[-1])
+    return referred_m if by_speed else min(referred_m, estimated_m)
+
+
+def distance_travelled_m(history: History, time_ns: TimeNs) -> float:
+    """Integrate a filter's horizontal speed from the start to the last of some times."""
+    if not len(time_ns):
+        return 0.0
+    rows = history.time_ns <= time_ns[-1]
+    speed_mps = np.hypot(history.velocity_n[rows, 0], history.velocity_n[rows, 1])
+    return float(np.trapezoid(speed_mps, seconds(history.time_ns[rows], history.time_ns[0])))
+
+
+def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats:
+    """Return how far the reference has travelled horizontally since the first of its times, shape (k,).
+
+    Its speed is integrated; where it gives velocities for too little of the time, chords between its positions are
+    added up. NaN where it has neither.
+    """
+    rows = np.isin(reference.time_ns, time_ns)
+    moving, located = reference.known["velocities"] & rows, reference.known["positions"] & rows
+    time_s = seconds(time_ns, time_ns[0])
+    speed_share = covered_share(reference.time_ns[rows], moving[rows], int(time_ns[0]), int(time_ns[-1]))
+    if speed_share >= WELL_COVERED or (moving.any() and not located.any()):
+        speed_mps = np.hypot(reference.velocity_n[moving, 0], reference.velocity_n[moving, 1])
+        steady_mps = np.interp(time_s, seconds(reference.time_ns[moving], time_ns[0]), speed_mps)
+        steps_m = np.diff(time_s) * (steady_mps[1:] + steady_mps[:-1]) / 2.0
+        return np.append(0.0, np.cumsum(steps_m))
+    if not located.any():
+        return np.full(len(time_ns), np.nan)
+    ends = np.union1d(thinned(reference.time_ns[located], CHORD_S), np.count_nonzero(located) - 1)
+    fix_ns, position = reference.time_ns[located][ends], reference.position[located][ends]
+    chords_m = np.hypot(*north_east_m(position[1:], position[:-1], position[:-1]))
+    travelled_m = np.append(0.0, np.cumsum(chords_m))
+    along_m: Floats = np.interp(time_s, seconds(fix_ns, time_ns[0]), travelled_m)
+    return along_m
+
+
+# --- Errors of one run.
+
+
+@dataclass(frozen=True)
+class ReferenceErrors:
+    """Errors of one run at the k times of the reference after its start."""
+
+    time_ns: TimeNs
+    position_error_ned_m: Floats  # (k, 3), north, east, down
+    velocity_error_n: Floats  # (k, 3), m/s
+    attitude_error_rad: Floats  # (k, 3), roll, pitch, heading: about level forward, level starboard and down
+    distance_m: float  # horizontal, from the start to the last compared position
+    dead_reckoned_error_ned_m: Floats | None = None  # position errors with all corrections of the position taken back
+
+    @property
+    def drifting_ned_m(self) -> Floats:
+        """The position error that only the velocity changes, shape (k, 3): a correction of the position is no drift."""
+        dead_reckoned = self.dead_reckoned_error_ned_m
+        return self.position_error_ned_m if dead_reckoned is None else dead_reckoned
+
+
+def reference_errors(history: History, reference: ReferenceColumns, baseline: History | None = None) -> ReferenceErrors:
+    """Compare a history with the reference at every reference time inside the replay, without the start.
+
+    At the start the filter was set to the reference. Where the reference does not give the distance, it is integrated
+    from the baseline's velocity, or else from the history's own.
+    """
+    time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
+    ours += 1
+    error_ned_m = north_east_down_m(history.position[ours], reference.position[theirs])
+    return ReferenceErrors(
+        time_ns,
+        error_ned_m,
+        history.velocity_n[ours] - reference.velocity_n[theirs],
+        attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
+        compared_distance_m(reference, baseline or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
+        north_east_down_m(history.dead_reckoned[ours], reference.position[theirs]) if len(history.corrected) else None,
+    )
+
+
+def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
+    """Return the error rotation as roll, pitch and heading error, shape (k, 3), rad.
+
+    The rotation vector of ``C_hat C'``, which is in n, is turned by the reference's heading to the vehicle's level
+    axes. On a level vehicle this equals differences of Euler angles, and near the vertical it does not blow up.
+    """
+    known = np.isfinite(mat_nb_reference).all(axis=(1, 2))
+    error = np.full((len(mat_nb), 3), np.nan)
+    north, east, down = vector_from_mat(mat_nb[known] @ np.swapaxes(mat_nb_reference[known], 1, 2)).T
+    heading = rpy_from_mat(mat_nb_reference[known])[:, 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    error[known] = np.column_stack([cos * north + sin * east, -sin * north + cos * east, down])
+    return error
+
+
+def motion_error(
+    velocity_n: Floats,  # (k, 3), m/s
+    mat_nb: Floats,  # (k, 3, 3)
+    true_velocity_n: Floats,
+    true_mat_nb: Floats,
+) -> tuple[Floats, Floats]:
+    """Return the errors of velocity, m/s, and attitude, rad, of which P speaks, shape (k, 3) each.
+
+    What the filter is exact for is the invariant error ``xi = v_hat - C_hat C' v``, and to first order that is
+    ``dv + v_hat x phi``. The dv of this relation is the difference of the velocities where the misalignment is small;
+    with a heading that is off by 20 deg the difference would also hold the second order, 6 % of the speed, which has no
+    place in P. Where an attitude is not known, the velocity error is the difference.
+    """
+    known = np.isfinite(true_mat_nb).all(axis=(1, 2)) & np.isfinite(mat_nb).all(axis=(1, 2))
+    velocity_error_n, misalignment_n = velocity_n - true_velocity_n, np.full_like(velocity_n, np.nan)
+    turned = mat_nb[known] @ np.swapaxes(true_mat_nb[known], 1, 2)
+    misalignment_n[known] = vector_from_mat(turned)
+    invariant_error_n = velocity_n[known] - np.einsum("kij,kj->ki", turned, true_velocity_n[known])
+    velocity_error_n[known] = invariant_error_n - np.cross(velocity_n[known], misalignment_n[known])
+    return velocity_error_n, misalignment_n
+
+
+def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
+    """Return how far a filter is off in its states, shape (k, n), at times that both history and reference have.
+
+    The states are the twelve of `states.STATES`, SI units, and the position where the filter estimates it. A bias is
+    what is left in the compensated readings; the truth knows it at any of the reference's times.
+    """
+    ours, theirs = np.searchsorted(history.time_ns, time_ns), np.searchsorted(reference.time_ns, time_ns)
+    error = np.full((len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan)
+    error[:, DV], error[:, PHI] = motion_error(
+        history.velocity_n[ours], history.mat_nb[ours], reference.velocity_n[theirs], reference.mat_nb[theirs]
+    )
+    if truth is not None:
+        _, rows, true_rows = np.intersect1d(time_ns, truth.time_ns, assume_unique=True, return_indices=True)
+        error[rows, BA] = truth.accel_bias_b[true_rows] - history.accel_bias_b[ours][rows]
+        error[rows, BG] = truth.gyro_bias_b[true_rows] - history.gyro_bias_b[ours][rows]
+    if history.estimates_position:
+        error[:, POSITION] = north_east_down_m(history.position[ours], reference.position[theirs])
+    return error
+
+
+# --- Errors of runs from several starts.
+
+
+@dataclass(frozen=True)
+class DrawnErrors:
+    """Errors of one filter over the same dive from s starts, the dive's own first, at k times of the reference."""
+
+    filter: str
+    time_ns: TimeNs  # (k,), the start is not among them
+    time_s: Floats  # (k,), from the start
+    position_error_ned_m: Floats  # (s, k, 3)
+    velocity_error_n: Floats  # (s, k, 3), m/s
+    error: Floats  # (s, k, 12), of the states, see `errors_at`
+    sd: Floats  # (k, 12), by the filter's covariance, from its own start; from the others it hardly differs
+    dead_reckoned_error_ned_m: Floats | None = None  # (s, k, 3), as of `ReferenceErrors`
+
+    @property
+    def drifting_ned_m(self) -> Floats:
+        """The position error that only the velocity changes, shape (s, k, 3)."""
+        dead_reckoned = self.dead_reckoned_error_ned_m
+        return self.position_error_ned_m if dead_reckoned is None else dead_reckoned
+
+
+def run_from_start(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> DrawnErrors:
+    """Compare one run with the reference, and its biases with the truth, and let go of all else."""
+    time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
+    ours, position = ours + 1, reference.position[theirs]
+    dead_reckoned = north_east_down_m(history.dead_reckoned[ours], position)[None] if len(history.corrected) else None
+    return DrawnErrors(
+        history.filter,
+        time_ns,
+        seconds(time_ns, history.time_ns[0]),
+        north_east_down_m(history.position[ours], position)[None],
+        (history.velocity_n[ours] - reference.velocity_n[theirs])[None],
+        errors_at(time_ns, history, reference, truth)[None, :, : len(STATES)],
+        history.sd[ours, : len(STATES)],
+        dead_reckoned,
+    )
+
+
+def drawn_errors(runs: Sequence[DrawnErrors]) -> DrawnErrors:
+    """Take the runs of one filter together, that from the dive's own start first."""
+    position, velocity, error = (
+        np.concatenate([getattr(run, name) for run in runs])
+        for name in ("position_error_ned_m", "velocity_error_n", "error")
+    )
+    dead_reckoned = [run.dead_reckoned_error_ned_m for run in runs if run.dead_reckoned_error_ned_m is not None]
+    return replace(
+        runs[0],
+        position_error_ned_m=position,
+        velocity_error_n=velocity,
+        error=error,
+        dead_reckoned_error_ned_m=np.concatenate(dead_reckoned) if dead_reckoned else None,
+    )
+
+
+def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:
+    """Return a filter's runs, NaN where a single run at the same times says nothing."""
+    located = np.isfinite(single.position_error_ned_m)
+    return replace(
+        drawn,
+        position_error_ned_m=np.where(located, drawn.position_error_ned_m, np.nan),
+        velocity_error_n=np.where(np.isfinite(single.velocity_error_n), drawn.velocity_error_n, np.nan),
+        error=np.where(np.isfinite(single.error), drawn.error, np.nan),
+        dead_reckoned_error_ned_m=np.where(located, drawn.drifting_ned_m, np.nan),
+    )
+
+
+def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
+    """Square the errors whose convergence is measured, by quantity, shape (s, k), SI units.
+
+    They are ``position_h``, ``velocity_h``, ``level`` (the mean square of roll and pitch), and each error state by its
+    name. NaN where it is not known; what is never known is left out.
+    """
+    with np.errstate(over="ignore"):
+        squares = {
+            "position_h": np.sum(drawn.position_error_ned_m[..., :2] ** 2, axis=-1),
+            "velocity_h": np.sum(drawn.velocity_error_n[..., :2] ** 2, axis=-1),
+            "level": np.mean(drawn.error[..., PHI][..., :2] ** 2, axis=-1),
+            **{state.id: drawn.error[..., state.index] ** 2 for state in STATES},
+        }
+    return {quantity: square for quantity, square in squares.items() if np.isfinite(square).any()}
+
+
+# --- The table.
+
+
+def reference_error_table(
+    log: str, histories: tuple[History, ...], errors: Mapping[str, ReferenceErrors], *, bridged_gaps: bool = False
+) -> list[ReferenceErrorRow]:
+    """Return the candidates' errors next to the baseline's, 9 rows a candidate; final errors keep their sign.
+
+    The errors, by filter, are empty where the dive has no reference. ``bridged_gaps``: the filters went through long
+    gaps of the IMU. With the status ``partly covered`` (the reference has the quantity for less than `WELL_COVERED` of
+    the replay) or ``lost in gap`` the numbers are there, but do not judge the filters. Next to a candidate that is
+    partial, the baseline's numbers are of the same instants.
+    """
+    baseline, *candidates = histories
+    span_ns, nan, rows = (int(baseline.time_ns[0]), int(baseline.time_ns[-1])), float("nan"), []
+    columns = {name: _shown(found, found.distance_m) for name, found in errors.items()}
+    for candidate in candidates:
+        for quantity, unit in REFERENCE_QUANTITIES.items():
+            named = log, candidate.filter, quantity, unit
+            if not errors:
+                rows.append(ReferenceErrorRow(*named, nan, nan, nan, nan, nan, 0, ReferenceStatus.NO_REFERENCE))
+                continue
+            found, after, before = errors[candidate.filter], columns[candidate.filter], columns[baseline.filter]
+            compared = before[quantity]
+            if candidate.is_partial:
+                distance_m = min(found.distance_m, errors[baseline.filter].distance_m)
+                same_distance = _shown(errors[baseline.filter], distance_m)[quantity]
+                compared = np.where(np.isfinite(after[quantity]), same_distance, np.nan)
+            before_rmse, before_final, samples = _rms_final_samples(compared)
+            rmse, final, _ = _rms_final_samples(after[quantity])
+            covered = covered_share(errors[baseline.filter].time_ns, np.isfinite(compared), *span_ns)
+            if samples and bridged_gaps and quantity in DEAD_RECKONED:
+                status = ReferenceStatus.LOST_IN_GAP
+            elif samples:
+                status = ReferenceStatus.COMPARED if covered >= WELL_COVERED else ReferenceStatus.PARTLY_COVERED
+            elif np.isfinite(before[quantity]).any():
+                status = ReferenceStatus.NOT_IN_SOLUTION
+            elif quantity == "position_h_pct" and np.isfinite(after["position_h"]).any():
+                status = ReferenceStatus.NO_DISTANCE
+            else:
+                status = ReferenceStatus.NOT_IN_REFERENCE
+            numbers = before_rmse, rmse, improvement_pct(before_rmse, rmse), before_final, final
+            rows.append(ReferenceErrorRow(*named, *numbers, samples, status))
+    return rows
+
+
+def _shown(errors: ReferenceErrors, distance_m: float) -> dict[str, Floats]:
+    """Return the errors of each quantity in its shown unit, shape (k,)."""
+    horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
+    percent = 100.0 / distance_m if distance_m >= SHORTEST_M else float("nan")
+    columns = [
+        *errors.velocity_error_n.T,
+        *(errors.attitude_error_rad.T / DEG),
+        horizontal_m,
+        errors.position_error_ned_m[:, 2],
+        horizontal_m * percent,
+    ]
+    return dict(zip(REFERENCE_QUANTITIES, columns, strict=True))
+
+
+def _rms_final_samples(error: Floats) -> tuple[float, float, int]:
+    known = error[np.isfinite(error)]
+    if not len(known):
+        return float("nan"), float("nan"), 0
+    return float(np.sqrt(np.mean(known**2))), float(known[-1]), len(known)
+
+
+# --- The acceleration of the reference.
+
+
+def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Floats:
+    """Differentiate the reference's velocity in body axes, by central differences of second order; shape (r, 3), m/s^2.
+
+    These are rates of the velocity's components in body axes, at the reference's own times, from the rows on either
+    side. No attitude is interpolated: a reference of 1 Hz says nothing of it inside a sharp turn, while the body's own
+    velocity hardly changes there. NaN in the first and last row, next to pauses that are longer than the gap, and next
+    to rows without velocity or attitude.
+    """
+    acceleration_b = np.full((len(reference.time_ns), 3), np.nan)
+    if len(reference.time_ns) < 3:
+        return acceleration_b
+    velocity_b = np.einsum("kji,kj->ki", reference.mat_nb, reference.velocity_n)
+    time_s = seconds(reference.time_ns, reference.time_ns[:1])
+    acceleration_b[1:-1] = np.gradient(velocity_b, time_s, axis=0)[1:-1]
+    apart = np.diff(time_s) > max_gap_s
+    acceleration_b[:-1][apart] = acceleration_b[1:][apart] = np.nan
+    return acceleration_b
+
+
+def acceleration_at(time_ns: TimeNs, reference_ns: TimeNs, acceleration_b: Floats) -> Floats:
+    """Interpolate the reference's acceleration at other times; NaN where a row next to the time has none."""
+    time_s, row_s = seconds(time_ns, reference_ns[:1]), seconds(reference_ns, reference_ns[:1])
+    return np.column_stack([np.interp(time_s, row_s, axis, np.nan, np.nan) for axis in acceleration_b.T])
+
+
+def differentiated_over_s(reference: ReferenceColumns) -> float:
+    """Return the median time over which the reference's velocity is differentiated, from row to row but one."""
+    return float(np.median(seconds(reference.time_ns[2:], reference.time_ns[:-2])))
+
+
+def vector_rmse(estimated: Floats, reference: Floats, rows: Known) -> float:
+    """Return the root mean square length of the difference of vectors, shape (k, 3), in some rows; NaN without any.
+
+    Equation (55) of Levy and Klein.
+    """
+    if not rows.any():
+        return float("nan")
+    return float(np.sqrt(np.mean(np.sum((estimated[rows] - reference[rows]) ** 2, axis=1))))

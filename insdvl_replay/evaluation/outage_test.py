@@ -1,24 +1,266 @@
-"""The names of this chapter."""
+"""The DVL outage test: how far a filter drifts while the DVL is withheld, by the withheld velocities themselves.
 
-from insdvl_replay.evaluation.coasting import Coast as OutageRun
-from insdvl_replay.evaluation.coasting import Coasts as OutageRuns
-from insdvl_replay.evaluation.coasting import DriftOverTime, distance_along_m, window_ends
-from insdvl_replay.evaluation.coasting import coast_of as outage_run
-from insdvl_replay.evaluation.coasting import coasting_table as outage_test_table
-from insdvl_replay.evaluation.coasting_windows import SHOWN_EVERY_S, SHOWN_S
-from insdvl_replay.evaluation.coasting_windows import CoastingPlan as OutagePlan
-from insdvl_replay.evaluation.coasting_windows import plan_coasting as plan_outages
+This needs no reference. It says nothing of heading, of a DVL that is turned about down or reads too much everywhere:
+prediction and measurement share these. It measures levels, accelerometer biases, gyro biases through gravity, lever
+arm, time stamps and noise.
+"""
 
-__all__ = [
-    "SHOWN_EVERY_S",
-    "SHOWN_S",
-    "DriftOverTime",
-    "OutagePlan",
-    "OutageRun",
-    "OutageRuns",
-    "distance_along_m",
-    "outage_run",
-    "outage_test_table",
-    "plan_outages",
-    "window_ends",
-]
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import COASTING_WINDOWS_S
+from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import CoastingRow
+from insdvl_replay.evaluation.chi_square import chi_square_quantile
+from insdvl_replay.evaluation.errors import SHORTEST_M
+from insdvl_replay.evaluation.series import windows_ratio
+
+BURN_IN_S: Final = 100
+"""Drift does not describe a filter that still finds its start."""
+SHOWN_S: Final = 60
+SHOWN_EVERY_S: Final = 30
+"""Windows for a picture of the drift over time may overlap."""
+OUTAGE: Final = 2.5
+"""A pause of so many usual intervals is a real outage; a single missing ping is none."""
+FEWEST_PINGS: Final = 6
+"""With fewer in a window the trapezoid, from a velocity error of zero on, makes the drift over 1 % too large."""
+NAN: Final = float("nan")
+ALARM: Final = 2.0
+"""A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %."""
+SURELY: Final = 0.999
+"""So rarely is there an alarm by chance, of each filter and length."""
+
+Rows = NDArray[np.int64]
+InGap = Callable[[TimeNs, TimeNs], NDArray[np.bool_]]
+"""Whether the IMU has a long gap between some times and others, as `nav.timeline.Gaps.overlap`."""
+
+
+# --- The windows of a dive.
+
+
+@dataclass(frozen=True)
+class Windows:
+    """The windows of one length, each from a ping that is used to the last one that is withheld."""
+
+    window_s: int  # length; from ping to ping it differs by less than two intervals
+    first: Rows  # (w,), rows of these pings
+    last: Rows
+    left_out: int  # windows in which the DVL or the IMU fell silent by itself
+
+
+@dataclass(frozen=True)
+class OutagePlan:
+    """All windows of a dive."""
+
+    ping_ns: TimeNs  # (m,), times of the pings with a velocity
+    judged: tuple[Windows, ...]  # by length, without those that the dive is too short for; no overlap in a length
+    shown: Windows  # overlapping, for the drift over time
+
+    @cached_property
+    def runs(self) -> tuple[Rows, Rows]:
+        """First and last ping of each run, shape (r,): from each first ping the longest window that begins there."""
+        every = (*self.judged, self.shown)
+        first, last = np.concatenate([w.first for w in every]), np.concatenate([w.last for w in every])
+        order = np.lexsort((-last, first))
+        longest = order[is_new(first[order])]
+        return first[longest], last[longest]
+
+    @property
+    def start_ns(self) -> TimeNs:
+        """Times at which a history has to hold P for the runs to start there, shape (r,)."""
+        return self.ping_ns[self.runs[0]]
+
+    @property
+    def windows_ns(self) -> Iterator[tuple[int, int]]:
+        """Times of the last used and of the last withheld ping of each run."""
+        first, last = self.runs
+        return zip(self.ping_ns[first].tolist(), self.ping_ns[last].tolist(), strict=True)
+
+
+def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> OutagePlan:
+    """Place windows over a dive, none of which begins before the filters have settled."""
+    usual_ns = float(np.median(np.diff(ping_ns))) if len(ping_ns) > 1 else np.inf
+    middle_ns = ping_ns[:-1] + np.diff(ping_ns) // 2
+    outages_before = np.cumsum(np.diff(ping_ns, prepend=ping_ns[:1]) > OUTAGE * usual_ns)
+
+    def windows(window_s: int, every_s: int) -> Windows:
+        # None where the dive is too short, or the pings too rare.
+        window_ns, last_ns = window_s * NS_PER_S, end_ns
+        if end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S or window_ns < FEWEST_PINGS * usual_ns:
+            return Windows(window_s, np.empty(0, np.int64), np.empty(0, np.int64), 0)
+        if end_ns - ping_ns[-1] <= OUTAGE * usual_ns:  # else the DVL fell silent, and what follows is left out
+            last_ns = min(end_ns, int(ping_ns[-1] + 0.5 * usual_ns))
+        latest_s = (last_ns - start_ns) // NS_PER_S - window_s
+        begun_ns = start_ns + np.arange(BURN_IN_S, latest_s + 1, every_s) * NS_PER_S
+        # The nearest pings; a window that has none near its ends, or an outage inside, is left out.
+        first = np.searchsorted(middle_ns, begun_ns)
+        ended_ns = ping_ns[first] + window_ns
+        last = np.searchsorted(middle_ns, ended_ns)
+        away_ns = np.maximum(abs(ping_ns[first] - begun_ns), abs(ping_ns[last] - ended_ns))
+        silent = (away_ns > 0.5 * OUTAGE * usual_ns) | (outages_before[first] < outages_before[last])
+        whole = ~silent & ~in_gap(ping_ns[first], ping_ns[last]) if len(first) else silent
+        return Windows(window_s, first[whole], last[whole], int(np.sum(~whole)))
+
+    lengths = [windows(length, length) for length in map(int, COASTING_WINDOWS_S)]
+    judged = tuple(found for found in lengths if len(found.first) + found.left_out)
+    return OutagePlan(ping_ns, judged, windows(SHOWN_S, SHOWN_EVERY_S))
+
+
+# --- What the filters do in them.
+
+
+@dataclass(frozen=True)
+class OutageRun:
+    """One filter in one run: at the ping that it used last, and at those that were withheld."""
+
+    time_s: Floats  # (k,), from the last used ping on
+    velocity_error_n: Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
+    drift_n: Floats  # (k, 3), m, its integral
+    nis: Floats  # (k,), of each withheld ping; NaN at the last used one
+
+
+@dataclass(frozen=True)
+class OutageRuns:
+    """All runs of all filters of a dive."""
+
+    plan: OutagePlan
+    distance_m: Floats  # (m,), travelled up to each ping of the plan, by the DVL's velocities
+    runs: Mapping[str, tuple[OutageRun, ...]]  # by filter, the baseline first; one for each of the plan's runs
+
+
+def outage_run(history: History) -> OutageRun:
+    """Turn the innovations of withheld velocities to n; the first row of the history has none."""
+    innovations, *_ = history.innovations
+    time_s = seconds(history.time_ns, history.time_ns[0])
+    velocity_error_n, nis = np.zeros((len(time_s), 3)), np.full(len(time_s), np.nan)
+    with np.errstate(over="ignore", invalid="ignore"):
+        velocity_error_n[1:] = np.einsum("kij,kj->ki", history.mat_nb[1:], innovations.innovation)
+        nis[1:] = innovations.nis
+        return OutageRun(time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis)
+
+
+def distance_along_m(time_ns: TimeNs, velocity_b: Floats) -> Floats:
+    """Integrate the speed that a DVL measures, m/s, from the first ping on."""
+    return _integral(seconds(time_ns, time_ns[0]), np.linalg.norm(velocity_b, axis=1))
+
+
+def _integral(time_s: Floats, rate: Floats) -> Floats:
+    """Integrate along the first axis by trapezoids, from zero on."""
+    steps = np.diff(time_s).reshape(-1, *[1] * (rate.ndim - 1)) * 0.5 * (rate[1:] + rate[:-1])
+    return np.concatenate([np.zeros_like(rate[:1]), np.cumsum(steps, axis=0)])
+
+
+class WindowEnds(NamedTuple):
+    """What a filter has come to at the end of each window of one length, shape (w,)."""
+
+    drift_m: Floats  # horizontal
+    down_m: Floats  # either way
+    velocity_mps: Floats  # horizontal error
+    nis: Floats  # of the last withheld ping
+
+
+def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
+    """Return the ends of a filter's windows; those of two filters are pairs."""
+    rows = np.searchsorted(outages.plan.runs[0], windows.first)
+    ends = [(outages.runs[name][row], step) for row, step in zip(rows, windows.last - windows.first, strict=True)]
+    drift_n = np.array([run.drift_n[step] for run, step in ends]).reshape(-1, 3)
+    velocity_error_n = np.array([run.velocity_error_n[step] for run, step in ends]).reshape(-1, 3)
+    nis = np.array([run.nis[step] for run, step in ends])
+    with np.errstate(over="ignore", invalid="ignore"):
+        horizontal_m, horizontal_mps = (np.hypot(vector[:, 0], vector[:, 1]) for vector in (drift_n, velocity_error_n))
+    return WindowEnds(horizontal_m, np.abs(drift_n[:, 2]), horizontal_mps, nis)
+
+
+def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:
+    """Return the horizontal drift in each window that does not overlap, by filter and length, m."""
+    return {
+        name: {f"{windows.window_s}s": window_ends(outages, name, windows).drift_m for windows in outages.plan.judged}
+        for name in outages.runs
+    }
+
+
+class OutageCurve(NamedTuple):
+    """How the horizontal drift of one filter grows while the DVL is withheld, over the windows that are shown."""
+
+    time_s: Floats  # (k,), from the last used ping on
+    median_m: Floats  # (k,)
+    p95_m: Floats  # (k,)
+    begin_ns: TimeNs  # (w,), last used ping before each window
+    drift_m: Floats  # (w,), horizontal drift at the end of each
+
+
+def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
+    """Return the drift of each filter in the windows that are shown, at whole seconds; empty without windows."""
+    shown, at_s, curves = outages.plan.shown, np.arange(SHOWN_S + 1.0), {}
+    rows = np.searchsorted(outages.plan.runs[0], shown.first)
+    for name, runs in outages.runs.items() if len(shown.first) else ():
+        with np.errstate(over="ignore", invalid="ignore"):
+            drift_m = np.array(
+                [np.interp(at_s, run.time_s, np.hypot(*run.drift_n[:, :2].T)) for run in (runs[row] for row in rows)]
+            )
+        (median_m, p95_m), known = np.full((2, len(at_s)), np.nan), np.isfinite(drift_m).all(axis=0)
+        if known.any():
+            median_m[known], p95_m[known] = np.quantile(drift_m[:, known], [0.5, 0.95], axis=0)
+        ends_m = window_ends(outages, name, shown).drift_m
+        curves[name] = OutageCurve(at_s, median_m, p95_m, outages.plan.ping_ns[shown.first], ends_m)
+    return curves
+
+
+# --- The table, and what it says of the noise.
+
+
+def outage_test_table(log: str, outages: OutageRuns) -> list[CoastingRow]:
+    """Say how far each filter drifts in windows of each length that the dive has room for."""
+
+    def quantile(values: Floats, q: float) -> float:
+        return float(np.quantile(values, q)) if len(values) and np.isfinite(values).all() else NAN
+
+    rows = []
+    for windows in outages.plan.judged:
+        count = len(windows.first)
+        distance_m = outages.distance_m[windows.last] - outages.distance_m[windows.first]
+        moved, baseline_m = distance_m >= SHORTEST_M, np.empty(0)
+        for i, name in enumerate(outages.runs):
+            ends, against = window_ends(outages, name, windows), (NAN, NAN, NAN, NAN)
+            drift_m, baseline_m = ends.drift_m, baseline_m if i else ends.drift_m
+            with np.errstate(over="ignore", invalid="ignore"):
+                if i and count > 1 and np.isfinite([baseline_m, drift_m]).all():
+                    interval = windows_ratio(baseline_m, drift_m)
+                    won_pct = 50.0 * float(np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m))
+                    against = interval.ratio, interval.low, interval.high, won_pct
+                rms_m = float(np.sqrt(np.mean(drift_m**2))) if count else NAN
+                row = CoastingRow(
+                    *(log, name, str(windows.window_s), count, windows.left_out),
+                    *(quantile(drift_m, 0.5), rms_m, quantile(drift_m, 0.95)),
+                    quantile(100.0 * drift_m[moved] / distance_m[moved], 0.5),
+                    *(quantile(ends.velocity_mps, 0.5), quantile(ends.down_m, 0.5)),
+                    *against,
+                    float(np.mean(ends.nis)) / 3.0 if count else NAN,
+                )
+            rows.append(row)
+    return rows
+
+
+def outage_alarm(rows: Sequence[CoastingRow], names: Collection[str]) -> str:
+    """Say where the withheld velocities show that the sigma of filters grows too slowly; nothing where it does not.
+
+    NIS at the ends of windows of one length are chi-square, and nearly independent. The length that is furthest above
+    its limit speaks.
+    """
+    excess = {
+        (row.window_s, row.filter): finite(row.nis_per_dof) / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
+        for row in rows
+        if row.filter in names and (dof := 3 * row.windows) and finite(row.nis_per_dof) > ALARM
+    }
+    window_s, _ = max(excess, key=excess.__getitem__, default=("", ""))
+    if not window_s or max(excess.values()) <= 1.0:
+        return ""
+    sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in rows if row.window_s == window_s and row.filter in names]
+    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1: raise [noise]."

@@ -1,20 +1,26 @@
-"""The judgement in words: what all evidence says of a candidate, and whether it may believe what it does.
+"""The verdict on a candidate: what all evidence says of it, whether its prediction is confirmed, and in which words.
 
-Measured comes first: better, worse, mixed, equivalent or undecided, by the words of each piece of evidence. That a
-filter believes in smaller errors is a second statement, which what was measured bears out or not; whether its
-innovations and errors are as large as it says is a third. Of a filter that is dead or set wrong, or is held against one
-that is, nothing is said of gain or loss.
+What was measured comes first: better, worse, mixed, equivalent or undecided, by the words of each piece of evidence.
+That a filter predicts smaller errors is a second statement, which what was measured confirms or not; whether its
+innovations and errors are as large as it says is a third. Filters that diverged, or are set so wrong that gain or loss
+would be an accident, are not evaluated, and no candidate is next to such a baseline.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final, Protocol, TypeVar
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
 
+from insdvl_replay.core.dive_columns import NS_PER_S
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     DECIDING,
     HONESTY,
+    IS_REFERENCE,
     VERDICTS_BEST_FIRST,
     is_beam,
     is_used,
@@ -24,23 +30,57 @@ from insdvl_replay.core.states import DVL_AIDING, NINE
 from insdvl_replay.core.table import Number, finite
 from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow, EvidenceRow, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
-from insdvl_replay.evaluation.believed import mean_over_nine, nearest_over_nine, unchanged_over_nine
-from insdvl_replay.evaluation.coasting import outage_alarm
-from insdvl_replay.evaluation.paired_statistics import RatioInterval, what_settles
+from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
+from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.evidence import nothing_better
+from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
+from insdvl_replay.evaluation.predicted import mean_over_nine, nearest_over_nine, unchanged_over_nine
+from insdvl_replay.evaluation.series import RatioInterval, what_settles
 
 NOTABLE_PCT: Final = 5.0
-"""A smaller gain is not spoken of as one that somebody believes in."""
+"""A smaller gain is not spoken of as a predicted one."""
 BORNE_OUT: Final = 0.5
-"""Share of the believed improvement that has to be measured."""
+"""Share of the predicted improvement that has to be measured."""
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 """Quantities whose median change stands for the error against the reference."""
-GRAVEST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.TOO_FEW)
+WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.TOO_FEW)
 FEWEST_STARTS: Final = 8
-"""From fewer drawn starts nothing is said of what is believed: it is mostly that errors of the start wear off."""
+"""From fewer drawn starts nothing is said of what is predicted: it is mostly that errors of the start wear off."""
 MANY_TIMES: Final = 3.0
 """From here on, nobody reads percent."""
 MOST_NAMED: Final = 2
-"""So many pieces of evidence stand in the sentence with their numbers; the others are in the table."""
+"""So many pieces of evidence are in the sentence with their numbers; the others are in the table."""
+MANY_REOPENED: Final = 0.01
+"""Share of the pings; each comes after several that were rejected."""
+FEW: Final = 2
+"""So many rejections prove nothing, in however short a dive."""
+LARGEST_NIS_PER_DOF: Final = 10.0
+"""Innovations three times as large as a filter says come from what it does not know of: axes, units, clocks."""
+FARTHEST_PCT: Final = 20.0
+"""Of the distance, while the DVL is there; dead reckoning by a DVL without any INS drifts less."""
+CONTRADICTIONS: Final = (
+    "beam_contradiction",
+    "dvl_contradiction",
+    "dvl_direction",
+    "imu_gyro_contradiction",
+    "imu_gyro_sign",
+    "imu_upside_down",
+    "reference_contradiction",
+    "start_heading_contradiction",
+    "track_contradiction",
+)
+"""Notes on columns that cannot all be right."""
+SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
+AGAINST: Final = {
+    Judgement.BETTER: "is BETTER than",
+    Judgement.WORSE: "is WORSE than",
+    Judgement.MIXED: "is better in some and WORSE in other things than",
+    Judgement.EQUIVALENT: "is as good as",
+    Judgement.UNDECIDED: "is undecided against",
+}
+
+
+# --- The words of tables, taken together.
 
 
 class Piece(Protocol):
@@ -57,25 +97,6 @@ class Piece(Protocol):
 P = TypeVar("P", bound=Piece)
 
 
-def verdicts(
-    tables: Tables, baseline: str, candidates: Sequence[str], unsound: Mapping[str, str], *, independent: bool
-) -> dict[str, Candidate]:
-    """Judge each candidate.
-
-    Parameters
-    ----------
-    baseline : str
-        Name of the first filter.
-    candidates : sequence of str
-        Names of the others.
-    unsound : mapping of str to str
-        By candidate what keeps it from being judged, from `sound_filters`.
-    independent : bool
-        Whether the reference shares no sensors with the filters.
-    """
-    return {candidate: _verdict(tables, baseline, candidate, unsound, independent) for candidate in candidates}
-
-
 def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Judgement:
     """Return what the evidence on one candidate says together: better in something and worse in nothing, and so on."""
     words = [row.word for row in rows if row.quantity in deciding]
@@ -85,107 +106,257 @@ def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) ->
     return Judgement.EQUIVALENT if words and words[0] == EvidenceWord.EQUIVALENT else Judgement.UNDECIDED
 
 
-def belief_of(believed_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
-    """Return whether at least half of what is believed was measured; undecided where the interval holds both."""
+def belief_of(predicted_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
+    """Return whether at least half of what is predicted was measured; undecided where the interval holds both."""
     measured = [row for row in rows if row.evidence == "accuracy" and row.ratio is not None]
-    if not measured or not believed_pct >= NOTABLE_PCT or not _has_starts(measured):
+    if not (measured and predicted_pct >= NOTABLE_PCT and max(row.starts for row in measured) >= FEWEST_STARTS):
         return Belief.UNDECIDED
     least_pct, most_pct = (
         100.0 * (1.0 - float(np.median([finite(getattr(row, end)) for row in measured]))) for end in ("high", "low")
     )
-    if least_pct >= BORNE_OUT * believed_pct:
+    if least_pct >= BORNE_OUT * predicted_pct:
         return Belief.BORNE_OUT
-    return Belief.NOT_BORNE_OUT if most_pct < BORNE_OUT * believed_pct else Belief.UNDECIDED
-
-
-def _has_starts(measured: Iterable[EvidenceRow]) -> bool:
-    return max(row.starts for row in measured) >= FEWEST_STARTS
+    return Belief.NOT_BORNE_OUT if most_pct < BORNE_OUT * predicted_pct else Belief.UNDECIDED
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
-    """Return the gravest verdict among a filter's measurements.
+    """Return the worst verdict among a filter's measurements.
 
-    Their axes say where and do not count: of eight tests one fails by chance in every third honest filter.
+    Their axes say where and do not count: of eight tests one fails by chance in every third consistent filter.
     """
-    words = [row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)]
-    return _gravest(words) if words else Consistency.NOT_TOLD
+    words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
+    return next((word for word in WORST_FIRST if word in words), Consistency.TOO_FEW if words else Consistency.NOT_TOLD)
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
-    """Return the gravest verdict among the groups of states, of errors against the reference.
+    """Return the worst verdict among the groups of states, of errors against the reference.
 
     All states together may be consistent with roll and pitch far off, below velocities that hardly err. Where no group
-    could be compared, what the first says of that is returned; early results have no groups.
+    could be compared, what the first says of that is returned.
     """
     words = [row.verdict for row in _groups(table, filter_name)]
     if table and not any(row.filter == filter_name for row in table):
         return Consistency.NOT_TOLD
-    return _gravest(words) if set(words) & set(GRAVEST_FIRST) else next(iter(words), Consistency.NO_REFERENCE)
+    return next((word for word in WORST_FIRST if word in words), next(iter(words), Consistency.NO_REFERENCE))
 
 
 def _groups(table: Sequence[CredibilityRow], filter_name: str) -> list[CredibilityRow]:
     return [row for row in table if row.filter == filter_name and row.quantity in ALL_CREDIBILITY_GROUPS]
 
 
-def _gravest(words: Iterable[str]) -> str:
-    found = set(words)
-    return next((word for word in GRAVEST_FIRST if word in found), Consistency.TOO_FEW)
+# --- Filters that are not evaluated.
 
 
-def _verdict(tables: Tables, baseline: str, candidate: str, unsound: Mapping[str, str], independent: bool) -> Candidate:
-    believed_pct = mean_over_nine(tables.improvement, candidate)
-    evidence = [row for row in tables.evidence if row.filter == candidate]
-    wrong = unsound.get(candidate, "")
-    judgement = Judgement.NOT_JUDGED if wrong else judgement_of(evidence)
-    belief = Belief.UNDECIDED if wrong else belief_of(believed_pct, evidence)
-    measured = (
-        f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
-        if wrong
-        else f"{_measured(candidate, baseline, judgement, evidence)}"
-        f"{_on_belief(candidate, baseline, believed_pct, tables)}{_of_belief(believed_pct, belief, tables, evidence)}"
-    )
-    trust = trust_sentence(tables, candidate, baseline)
-    shared = "" if independent or not _has_reference(tables) else f" {SHARED}"
-    return Candidate(
-        verdict=f"{measured}. {trust}{shared}",
-        improvement=judgement,
-        consistency=consistency_of(tables.consistency, candidate),
-        mean_improvement_pct=believed_pct,
-        mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
-        reference_improvement_pct=_median_pct(tables, candidate),
-        credibility=credibility_of(tables.credibility, candidate),
-        belief=belief,
-        mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
-        mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
-    )
+def not_evaluated(
+    histories: tuple[History, ...],  # the first is the baseline
+    errors: Mapping[str, ReferenceErrors],  # by filter; empty without a reference
+    tables: Tables,
+    notes: Sequence[Note],  # of the dive: where its columns contradict each other, no filter is evaluated
+) -> dict[str, str]:
+    """Return by candidate what is wrong with it or the baseline, or with both; sound ones are left out.
+
+    That one of the two alone is far off is for the evidence to say, and so is a surprised baseline. A candidate whose
+    own innovations are far too large is worse or is not evaluated.
+    """
+    baseline, *candidates = (history.filter for history in histories)
+    # Filters that are aided by the reference's own readings, or made of it: errors against it say nothing. Depth has no
+    # vote, and the rest of the reference is as good as before.
+    shared = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
+    unfit: dict[str, str] = {}
+    for history in histories:
+        if f"solution_{history.filter}" in shared:
+            unfit[history.filter] = f"{history.filter} is, or may know, the reference"
+        for sensor in (met.measurement for met in history.innovations):
+            if sensor in shared - {"depth"}:
+                unfit[history.filter] = f"{history.filter} is aided by the {sensor} that the reference is made of"
+    unfit |= diverged_filters(histories)
+    contradicted = "; ".join(note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning")
+    misled = {
+        history.filter: found
+        for history in histories
+        if (found := surprised(history.filter, tables.consistency) or far_off(history, histories[0], errors, tables))
+    }
+    unsound = {}
+    for candidate in candidates:
+        pair = baseline, candidate
+        wrong = [unfit[name] for name in pair if name in unfit]
+        wrong += [misled[name] for name in pair] if misled.keys() >= set(pair) else []
+        left = nothing_better(row for row in tables.evidence if row.filter == candidate)
+        too_large = "" if judgement_of(left) == Judgement.WORSE else surprised(candidate, tables.consistency)
+        if reason := contradicted or " and ".join(wrong) or too_large:
+            unsound[candidate] = reason
+    return unsound
 
 
-SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
-AGAINST: Final = {
-    Judgement.BETTER: "is BETTER than",
-    Judgement.WORSE: "is WORSE than",
-    Judgement.MIXED: "is better in some and WORSE in other things than",
-    Judgement.EQUIVALENT: "is as good as",
-    Judgement.UNDECIDED: "is undecided against",
-}
+def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
+    """Return by filter what is wrong with it; sound ones are left out.
+
+    A filter has diverged where its state is not finite, where its gate rejected more than `MANY_REJECTED` of its
+    leading measurement, or where it was set to the DVL again more than once and at more than `MANY_REOPENED` of its
+    pings. What a gate rejects of a sound filter by chance is allowed for. What a partial solution leaves out it leaves
+    out.
+    """
+    found = {}
+    for history in (history for history in histories if not history.is_partial):
+        name, lead = history.filter, _leading(history)
+        columns = (
+            *(history.sd, history.position, history.velocity_n, history.mat_nb),
+            *(history.accel_bias_b, history.gyro_bias_b),
+        )
+        known = np.all([np.isfinite(column.reshape(len(column), -1)).all(axis=1) for column in columns], axis=0)
+        if not known.all():
+            first_s = (history.time_ns[np.argmin(known)] - history.time_ns[0]) / NS_PER_S
+            found[name] = f"the state of {name} is not finite from {first_s:.1f} s on"
+        elif lead is not None:
+            count, total, reopened = int(lead.rejected.sum()), len(lead.rejected), len(history.reopened_ns)
+            if count > max(FEW, (MANY_REJECTED + lead.by_chance) * total):
+                found[name] = f"{name} rejected {count} of {total} {lead.measurement}"
+            elif reopened > max(1.0, (MANY_REOPENED + lead.by_chance**lead.reopen_after) * total):
+                # It is not thrown off once, but errs all the time, and is saved from itself every so often.
+                found[name] = f"{name} lost its way {reopened} times in {total} {lead.measurement}"
+    return found
+
+
+class _Leading(NamedTuple):
+    """The measurement that a filter depends on: which the gate rejected, and which share of them it would by chance."""
+
+    measurement: str
+    rejected: NDArray[np.bool_]
+    by_chance: float
+    reopen_after: int
+
+
+def _leading(history: History) -> _Leading | None:
+    """Return the pings of the beams, else the velocities, else what a filter is aided by first.
+
+    A ping is rejected where all beams that were heard are; by chance, at most as one is.
+    """
+    used = [innovations for innovations in history.innovations if is_used(innovations.measurement)]
+    beams = [innovations for innovations in used if is_beam(innovations.measurement)]
+    if beams:
+        times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
+        passed = np.zeros(len(times), np.bool_)
+        passed[ping[~np.concatenate([rejected(beam) for beam in beams])]] = True
+        return _Leading("pings", ~passed, float(chdtrc(1, beams[0].gate)), beams[0].reopen_after)
+    velocities = [innovations for innovations in used if innovations.measurement == "velocity"]
+    first = next(iter((*velocities, *used)), None)
+    if first is None:
+        return None
+    by_chance = float(chdtrc(first.dof, first.gate))
+    return _Leading(f"{first.measurement} innovations", rejected(first), by_chance, first.reopen_after)
+
+
+def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
+    """Name a sensor whose innovations are far larger than the filter that it aids expects; empty if there is none."""
+    for row in rows:
+        if row.filter == name and is_used(row.measurement) and finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof:
+            mean_nis = finite(row.mean_nis)
+            return f"the {row.measurement} innovations of {name} have NIS {mean_nis:.3g}, {row.dof} is right"
+    return ""
+
+
+def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables) -> str:
+    """Find a filter that is far off while the DVL is there: what it gains without is nobody's mistake.
+
+    If the DVL is silent for more than half of the time, all of the error counts.
+    """
+    rows = [row for row in tables.reference_error if row.quantity == "position_h_pct"]
+    if history.filter not in errors or not any(row.status == ReferenceStatus.COMPARED for row in rows):
+        return ""
+    pings = [met.time_ns for met in baseline.innovations if met.measurement == "velocity" or is_beam(met.measurement)]
+    found, ping_ns = errors[history.filter], np.unique(np.concatenate(pings)) if pings else np.empty(0, np.int64)
+    known = np.isfinite(found.position_error_ned_m[:, :2]).all(axis=1)
+    time_ns = np.append(baseline.time_ns[0], found.time_ns[known])
+    steps_m = np.diff(found.position_error_ned_m[known, :2], axis=0, prepend=[[0.0, 0.0]])
+    if len(ping_ns) > 1:
+        seen_ns = np.unique(np.concatenate([time_ns[:1], ping_ns, time_ns[-1:]]))
+        begins = np.flatnonzero(np.diff(seen_ns) > OUTAGE * np.median(np.diff(ping_ns)))
+        # A step of the reference is in an outage that ends after it begins and begins before it ends.
+        ended = np.searchsorted(seen_ns[begins + 1], time_ns[:-1], "right")
+        silent = ended < np.searchsorted(seen_ns[begins], time_ns[1:], "left")
+        if 2 * np.diff(time_ns)[silent].sum() <= time_ns[-1] - time_ns[0]:
+            steps_m[silent] = 0.0
+    square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)
+    error_pct = 100.0 * np.sqrt(square_m2) / found.distance_m if found.distance_m > 0.0 else 0.0
+    return f"{history.filter} is off by {error_pct:.3g} % of the distance" if error_pct > FARTHEST_PCT else ""
+
+
+# --- The verdict in words.
+
+
+def verdicts(
+    tables: Tables,
+    baseline: str,
+    candidates: Sequence[str],
+    unsound: Mapping[str, str],  # by candidate what keeps it from being evaluated, from `not_evaluated`
+    *,
+    independent: bool,  # whether the reference shares no sensors with the filters
+) -> dict[str, Candidate]:
+    """Judge each candidate, by name."""
+    judged, has_reference = {}, any(row.samples for row in tables.reference_error)
+    for candidate in candidates:
+        predicted_pct = mean_over_nine(tables.improvement, candidate)
+        evidence = [row for row in tables.evidence if row.filter == candidate]
+        wrong = unsound.get(candidate, "")
+        if wrong:
+            judgement, belief = Judgement.NOT_JUDGED, Belief.UNDECIDED
+            measured = f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
+        else:
+            judgement, belief = judgement_of(evidence), belief_of(predicted_pct, evidence)
+            measured = (
+                f"{_measured(candidate, baseline, judgement, evidence)}"
+                f"{_on_prediction(candidate, baseline, predicted_pct, tables)}"
+            )
+            if predicted_pct >= NOTABLE_PCT and has_reference:
+                measured += _on_belief(belief, evidence)
+        trust = trust_sentence(tables, candidate, baseline)
+        shared = "" if independent or not has_reference else f" {SHARED}"
+        changes = [
+            finite(row.improvement_pct)
+            for row in tables.reference_error
+            if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
+        ]
+        known = [change for change in changes if np.isfinite(change)]
+        judged[candidate] = Candidate(
+            verdict=f"{measured}. {trust}{shared}",
+            improvement=judgement,
+            consistency=consistency_of(tables.consistency, candidate),
+            mean_improvement_pct=predicted_pct,
+            mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
+            reference_improvement_pct=float(np.median(known)) if known else float("nan"),
+            credibility=credibility_of(tables.credibility, candidate),
+            belief=belief,
+            mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
+            mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
+        )
+    return judged
 
 
 def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
-    """State what was measured, by the pieces of evidence that decided, or those that could have."""
-    named = "; ".join(map(_in_words, spoken_of(judgement, evidence))) or "there is nothing to measure it by"
-    left = left_undecided(judgement, evidence) or _what_settles(judgement, evidence)
-    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}{_on_honesty(judgement, evidence)}"
-
-
-def _what_settles(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
-    """Say what would decide an undecided dive, by the first piece of evidence that is not about a single stretch."""
-    rows = [row for row in evidence if row.quantity in DECIDING and not row.why]
-    if judgement != Judgement.UNDECIDED or not rows:
-        return ""
-    ends = finite(rows[0].ratio), finite(rows[0].low), finite(rows[0].high)
-    samples = finite(rows[0].effective_samples)
-    needed = what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), 1)
-    return f"; {needed}" if needed else ""
+    """Say what was measured, by the pieces of evidence that decided, or those that could have."""
+    pieces = []
+    for row in spoken_of(judgement, evidence):
+        ratio, piece = finite(row.ratio), changed(row.quantity, finite(row.ratio))
+        if np.isfinite(ratio):
+            values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
+            interval, why = interval_in_words(row.ratio, row.low, row.high), f"; {row.why}" if row.why else ""
+            piece = f"{piece} (this dive: {values}; 95 % on this dive: {interval}{why})"
+        pieces.append(piece)
+    left = left_undecided(judgement, evidence)
+    undecided = [row for row in evidence if row.quantity in DECIDING and not row.why]
+    if judgement == Judgement.UNDECIDED and undecided:
+        # What would decide the dive, by the first piece of evidence that is not about a single stretch.
+        row = undecided[0]
+        ends, samples = (finite(row.ratio), finite(row.low), finite(row.high)), finite(row.effective_samples)
+        needed = what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), 1)
+        left = left or (f"; {needed}" if needed else "")
+    words = {row.word for row in evidence if row.evidence == HONESTY} & {EvidenceWord.BETTER, EvidenceWord.WORSE}
+    if len(words) == 1:
+        is_more = EvidenceWord.BETTER in words
+        joined = "but" if is_more == (judgement == Judgement.WORSE) else "and"
+        left += f"; {joined} it is {'more' if is_more else 'less'} honest"
+    named = "; ".join(pieces) or "there is nothing to measure it by"
+    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}"
 
 
 def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
@@ -197,25 +368,25 @@ def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collec
 
 def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
     """Choose pieces of evidence of each word that made the judgement, or could have: the first of each kind."""
-    of_judgement: dict[Judgement, tuple[EvidenceWord, ...]] = {
+    words: tuple[EvidenceWord, ...] = {
         Judgement.BETTER: (EvidenceWord.BETTER,),
         Judgement.WORSE: (EvidenceWord.WORSE,),
         Judgement.MIXED: (EvidenceWord.BETTER, EvidenceWord.WORSE),
         Judgement.EQUIVALENT: (EvidenceWord.EQUIVALENT,),
-    }
-    words = of_judgement.get(judgement, (EvidenceWord.UNDECIDED,))
+    }.get(judgement, (EvidenceWord.UNDECIDED,))
     known = [row for row in rows if row.quantity in deciding]
     first = ({row.evidence: row for row in reversed(known) if row.word == word} for word in words)
     return [row for kinds in first for row in [*reversed(kinds.values())][: MOST_NAMED // len(words)]]
 
 
 def changed(quantity: str, ratio: float) -> str:
-    """State by how much a quantity is smaller or larger, or sooner or later."""
+    """Say by how much a quantity is smaller or larger, or sooner or later."""
     if not np.isfinite(ratio):
         return f"{label(quantity)} unknown"
+    is_time = quantity.startswith("convergence")
     if ratio >= MANY_TIMES:
-        return f"{label(quantity)} {ratio:.3g} times as {'late' if quantity.startswith('convergence') else 'large'}"
-    smaller, larger = ("sooner", "later") if quantity.startswith("convergence") else ("smaller", "larger")
+        return f"{label(quantity)} {ratio:.3g} times as {'late' if is_time else 'large'}"
+    smaller, larger = ("sooner", "later") if is_time else ("smaller", "larger")
     return f"{label(quantity)} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
 
 
@@ -227,64 +398,24 @@ def interval_in_words(ratio: Number, low: Number, high: Number) -> str:
     return f"{low_pct:+z.1f} to {high_pct:+z.1f} %"
 
 
-def _in_words(row: EvidenceRow) -> str:
-    ratio = finite(row.ratio)
-    if not np.isfinite(ratio):
-        return changed(row.quantity, ratio)
-    values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
-    interval = interval_in_words(row.ratio, row.low, row.high)
-    why = f"; {row.why}" if row.why else ""
-    return f"{changed(row.quantity, ratio)} (this dive: {values}; 95 % on this dive: {interval}{why})"
-
-
-def _on_honesty(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
-    words = {row.word for row in evidence if row.evidence == HONESTY} & {EvidenceWord.BETTER, EvidenceWord.WORSE}
-    if len(words) != 1:
-        return ""
-    is_more = EvidenceWord.BETTER in words
-    joined = "but" if is_more == (judgement == Judgement.WORSE) else "and"
-    return f"; {joined} it is {'more' if is_more else 'less'} honest"
-
-
-def _median_pct(tables: Tables, candidate: str) -> float:
-    """Return the median improvement of the compared quantities that have one, NaN without any."""
-    changes = [
-        finite(row.improvement_pct)
-        for row in tables.reference_error
-        if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
-    ]
-    known = [change for change in changes if np.isfinite(change)]
-    return float(np.median(known)) if known else float("nan")
-
-
-def _has_reference(tables: Tables) -> bool:
-    return any(row.samples for row in tables.reference_error)
-
-
-def _on_belief(candidate: str, baseline: str, believed_pct: float, tables: Tables) -> str:
-    """Begin the sentence on what is believed; of a solution that says nothing of that there is none."""
+def _on_prediction(candidate: str, baseline: str, predicted_pct: float, tables: Tables) -> str:
+    """Say what is predicted; nothing of a solution that says nothing of that."""
     told = {row.state for row in tables.improvement if row.filter == candidate}
-    if told >= {state.id for state in NINE}:
-        return f". It {_believes(believed_pct, baseline)}"
-    return ". It says how sure it is of some states alone" if told else ""
+    if not told >= {state.id for state in NINE}:
+        return ". It says how sure it is of some states alone" if told else ""
+    if not np.isfinite(predicted_pct):
+        return ". It believes in nothing finite"
+    if abs(predicted_pct) < NOTABLE_PCT:
+        return f". It believes in errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
+    return f". It believes in {abs(predicted_pct):.1f} % {'smaller' if predicted_pct > 0 else 'larger'} errors"
 
 
-def _believes(believed_pct: float, baseline: str) -> str:
-    if not np.isfinite(believed_pct):
-        return "believes in nothing finite"
-    if abs(believed_pct) < NOTABLE_PCT:
-        return f"believes in errors as large as those of {baseline} ({believed_pct:+z.1f} %)"
-    return f"believes in {abs(believed_pct):.1f} % {'smaller' if believed_pct > 0 else 'larger'} errors"
-
-
-def _of_belief(believed_pct: float, belief: Belief, tables: Tables, evidence: Sequence[EvidenceRow]) -> str:
-    """State whether what is believed is borne out; that there is no reference is said of the dive, once."""
-    if not believed_pct >= NOTABLE_PCT or not _has_reference(tables):
-        return ""
+def _on_belief(belief: Belief, evidence: Sequence[EvidenceRow]) -> str:
+    """Say whether what is predicted is confirmed; that there is no reference is said of the dive, once."""
     measured = [row for row in evidence if row.evidence == "accuracy"]
     if not measured:
         return ", and the reference does not tell whether that is so"
-    if not _has_starts(measured):
+    if max(row.starts for row in measured) < FEWEST_STARTS:
         return f", and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
     return {
         Belief.BORNE_OUT: ", and that is borne out",
@@ -293,46 +424,37 @@ def _of_belief(believed_pct: float, belief: Belief, tables: Tables, evidence: Se
     }[belief]
 
 
-def _trust(tables: Tables, name: str) -> str:
-    """Join what innovations and errors say; the one word where they agree or only one of them speaks."""
-    consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
-    if credibility == Consistency.TOO_FEW or credibility not in GRAVEST_FIRST:
-        return consistency
-    if consistency == Consistency.NOT_TOLD:
-        return f"{credibility}{_where(tables.credibility, name, credibility)} against the reference"
-    where = _where(tables.credibility, name, credibility)
-    if consistency == credibility:
-        return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
-    if consistency == Consistency.TOO_FEW:
-        return f"{credibility}{where} against the reference"
-    return f"{consistency} by the innovations and {credibility}{where} against the reference"
-
-
-def _where(table: Sequence[CredibilityRow], name: str, credibility: str) -> str:
-    """Name the groups of states that have the gravest verdict, where others have a better one."""
-    groups = [row for row in _groups(table, name) if row.verdict in VERDICTS_BEST_FIRST]
-    grave = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
-    return f" in {' and '.join(grave)}" if len(grave) < len(groups) else ""
-
-
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
-    """State whether errors, innovations and NIS without DVL of candidate and baseline are as large as each says.
+    """Say whether errors, innovations and NIS without DVL of candidate and baseline are as large as each says.
 
     A candidate that is aided by a sensor beside the DVL has the NIS of each of its sensors in the sentence.
     """
-    return f"{_on_trust(tables, candidate, baseline)}{outage_alarm(tables.coasting, (baseline, candidate))}"
-
-
-def _on_trust(tables: Tables, candidate: str, baseline: str) -> str:
-    trust, of_baseline = _trust(tables, candidate), _trust(tables, baseline)
+    alarm = outage_alarm(tables.coasting, (baseline, candidate))
+    trust, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
     if trust == Consistency.NOT_TOLD:
-        return f"{candidate} does not say how sure it is, {baseline} is {of_baseline}."
-    if trust != of_baseline:
-        sentence = f"{candidate} is {trust}, {baseline} {of_baseline}."
+        return f"{candidate} does not say how sure it is, {baseline} is {baseline_trust}.{alarm}"
+    if trust != baseline_trust:
+        sentence = f"{candidate} is {trust}, {baseline} {baseline_trust}."
     else:
         sentence = "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."
     used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
-    if all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
-        return sentence
-    sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
-    return f"{sentence} NIS / dof of {candidate}: {sizes}."
+    if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
+        sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
+        sentence = f"{sentence} NIS / dof of {candidate}: {sizes}."
+    return f"{sentence}{alarm}"
+
+
+def _trust(tables: Tables, name: str) -> str:
+    """Join what innovations and errors say; the one word where they agree or only one of them speaks."""
+    consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
+    if credibility == Consistency.TOO_FEW or credibility not in WORST_FIRST:
+        return consistency
+    # Name the groups of states that have the worst verdict, where others have a better one.
+    groups = [row for row in _groups(tables.credibility, name) if row.verdict in VERDICTS_BEST_FIRST]
+    worst = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
+    where = f" in {' and '.join(worst)}" if len(worst) < len(groups) else ""
+    if consistency in (Consistency.NOT_TOLD, Consistency.TOO_FEW):
+        return f"{credibility}{where} against the reference"
+    if consistency == credibility:
+        return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
+    return f"{consistency} by the innovations and {credibility}{where} against the reference"

@@ -16,7 +16,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
-from insdvl_replay.evaluation.errors import DrawnErrors, RunFromStart, drawn_errors, run_from_start
+from insdvl_replay.evaluation.errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.evaluation.outage_test import (
     OutagePlan,
     OutageRun,
@@ -194,7 +194,7 @@ def _first_part(dive: Dive, prepared: Prepared, samples: int) -> tuple[Dive, Pre
     return replace(dive, reference=reference), first_part
 
 
-def _run_from(work: tuple[ResolvedFilter, Start], dive: Dive, prepared: Prepared, timeline: Timeline) -> RunFromStart:
+def _run_from(work: tuple[ResolvedFilter, Start], dive: Dive, prepared: Prepared, timeline: Timeline) -> DrawnErrors:
     filter_, start = work
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")

@@ -8,8 +8,8 @@ import numpy as np
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import CoastingRow, EvidenceRow
-from insdvl_replay.evaluation.evaluate import ConvergenceCurves, OutageCurve
-from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S
+from insdvl_replay.evaluation.convergence import ConvergenceCurves
+from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageCurve
 from insdvl_replay.report.plots.panel import (
     BELIEVED,
     LIMIT,
@@ -53,9 +53,8 @@ def drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
     """Draw the drift without velocities over the time they are withheld: median, and where 95 % stay."""
     lines, bands = [], []
     for number, (name, curve) in enumerate(curves.items()):
-        time_s, median_m, p95_m = curve.over_time
-        lines.append(Curve(time_s, median_m, filter_style(number), label=name))
-        bands.append(Band(time_s, np.zeros_like(p95_m), p95_m, filter_style(number)))
+        lines.append(Curve(curve.time_s, curve.median_m, filter_style(number), label=name))
+        bands.append(Band(curve.time_s, np.zeros_like(curve.p95_m), curve.p95_m, filter_style(number)))
     return Panel("horizontal drift [m]", "time withheld [s]", dashes_on_top(lines), tuple(bands))
 
 

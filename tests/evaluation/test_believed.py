@@ -11,14 +11,14 @@ from frames import frame
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.evaluation.believed import (
+from insdvl_replay.evaluation.convergence import convergence_table, nearest_approach_s, time_to_stay_below
+from insdvl_replay.evaluation.predicted import (
     improvement_pct,
     improvement_table,
     mean_over_nine,
     nearest_over_nine,
     unchanged_over_nine,
 )
-from insdvl_replay.evaluation.convergence import convergence_table, nearest_approach_s, time_to_stay_below
 
 SECOND = 1_000_000_000
 PAPER_S = 424

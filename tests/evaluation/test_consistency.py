@@ -13,13 +13,15 @@ from scipy import stats
 
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.evaluation.chi_square import SMALL_EXCESS, chi_square_quantile, consistency_word, mean_interval
-from insdvl_replay.evaluation.consistency import (
+from insdvl_replay.evaluation.chi_square import (
     FEWEST_UPDATES,
-    consistency_table,
-    update_notes,
+    SMALL_EXCESS,
+    chi_square_quantile,
+    consistency_verdict,
+    mean_interval,
 )
-from insdvl_replay.evaluation.sound_filters import dead_filters
+from insdvl_replay.evaluation.consistency import consistency_table, update_notes
+from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
@@ -78,12 +80,12 @@ def test_interval_holds_the_mean_of_19_in_20_honest_filters() -> None:
     ],
 )
 def test_verdict_between_2_and_4(mean: float, word: str) -> None:
-    assert consistency_word(mean, 2.0, 4.0, dof=3) == word
+    assert consistency_verdict(mean, 2.0, 4.0, dof=3)[0] == word
 
 
 @pytest.mark.parametrize(("mean", "word"), [(3.29, "consistent"), (3.31, "over-confident"), (2.69, "over-cautious")])
 def test_verdict_asks_for_size_beside_significance(mean: float, word: str) -> None:
-    assert consistency_word(mean, 2.99, 3.01, dof=3) == word
+    assert consistency_verdict(mean, 2.99, 3.01, dof=3)[0] == word
 
 
 @pytest.mark.parametrize(
@@ -200,7 +202,7 @@ def test_what_a_gate_rejects_by_chance_makes_no_filter_dead(
 ) -> None:
     made = history("one", np.full(pings, 3.0), np.arange(pings) >= rejected)
     innovations = replace(made.innovations[0], gate=chi_square_quantile(probability, 3))
-    assert bool(dead_filters((replace(made, innovations=(innovations,)),))) is dead
+    assert bool(diverged_filters((replace(made, innovations=(innovations,)),))) is dead
 
 
 @pytest.mark.parametrize(
@@ -213,7 +215,7 @@ def test_filter_that_loses_its_way_again_and_again_is_dead(
     made = history("one", np.full(300, 3.0))
     gate, reopened = chi_square_quantile(probability, 3), np.arange(300) < times
     innovations = replace(made.innovations[0], gate=gate, reopen_after=reopen_after, reopened=reopened)
-    found = dead_filters((replace(made, innovations=(innovations,)),))
+    found = diverged_filters((replace(made, innovations=(innovations,)),))
     assert {name: re.findall(r"\d+", why) for name, why in found.items()} == (
         {"one": [str(times), "300"]} if dead else {}
     )
@@ -225,7 +227,7 @@ def test_dead_filters_are_found() -> None:
     blind = replace(history("blind", np.full(100, 3.0)), sd=np.full((1, 12), np.nan))
     only = history("only", np.full(100, 3.0), np.arange(100) >= 11, measurement="acceleration")
     gated = replace(few, filter="gated", innovations=few.innovations + only.innovations)
-    found = dead_filters((few, many, broken, blind, only, gated))
+    found = diverged_filters((few, many, broken, blind, only, gated))
     assert list(found) == ["many", "broken", "blind", "only"]
     assert re.search(r"11 of 100 velocity\b", found["many"])
     assert re.search(r"11 of 100 acceleration\b", found["only"])

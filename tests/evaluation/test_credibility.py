@@ -15,15 +15,16 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
-from insdvl_replay.evaluation.chi_square import mean_interval
+from insdvl_replay.evaluation.chi_square import mean_interval, probability_beyond_3_sd
 from insdvl_replay.evaluation.credibility import (
     FAR_SMALLER,
     MANY_FAR_OFF,
+    StateErrors,
     credibility_table,
-    probability_of,
+    nees,
+    whitened,
 )
-from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
-from insdvl_replay.evaluation.state_errors import StateErrors, nees, whitened
+from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.studies.simulated_run import matched_errors
@@ -50,7 +51,6 @@ def drawn(factor: float = 1.0, seed: int = 2, k: int = K) -> StateErrors:
         "aided",
         np.arange(k, dtype=np.int64),
         error,
-        np.tile(SD, (k, 1)),
         np.tile(cov, (k, 1, 1)),
         heading,
         np.ones(12, np.bool_),
@@ -137,9 +137,9 @@ def test_rare_large_errors_are_found_though_their_mean_square_is_as_believed(tim
 def test_share_of_large_errors_is_as_improbable_as_scipys_binomial_says(independent: float) -> None:
     expected = 2.0 * float(stats.norm.sf(3.0))
     for count in (1, 2, 4):
-        found = probability_of(count / independent, independent)
+        found = probability_beyond_3_sd(count / independent, independent)
         assert found == pytest.approx(stats.binom(int(independent), expected).sf(count - 1), rel=1e-9)
-    assert probability_of(0.5 / independent, independent) == pytest.approx(2.0 * independent * expected)
+    assert probability_beyond_3_sd(0.5 / independent, independent) == pytest.approx(2.0 * independent * expected)
 
 
 def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
@@ -148,7 +148,9 @@ def test_correlated_errors_drawn_from_p_are_seldom_called_far_off() -> None:
     for _ in range(runs):
         series = signal.lfilter([np.sqrt(1.0 - 0.98**2)], [1.0, -0.98], rng.standard_normal(1200))[200:]
         far_off = float(np.mean(np.abs(series) > 3.0))
-        flagged += far_off >= MANY_FAR_OFF and probability_of(far_off, samples_in_mean_square(series[:, None])) < 0.05
+        flagged += (
+            far_off >= MANY_FAR_OFF and probability_beyond_3_sd(far_off, samples_in_mean_square(series[:, None])) < 0.05
+        )
     assert flagged / runs < 0.05
 
 

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.curves import convergence_curves
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors
-from insdvl_replay.evaluation.measured_convergence import measured_convergences
-from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.convergence import convergence_curves, measured_convergences
+from insdvl_replay.evaluation.errors import DrawnErrors
 
 STARTS, END_S = 9, 400.0
 TIME_S = np.arange(0.2, END_S + 0.1, 0.2)
@@ -20,8 +18,7 @@ def drawn(name: str, size: float, *, heading: bool = True, starts: int = STARTS)
     error[0] = 1e6
     error[..., 5] *= 1.0 if heading else np.nan
     velocity: Floats = error[..., :3]
-    against = tuple(ReferenceErrors(np.arange(k), velocity[n], velocity[n], velocity[n], 1.0) for n in range(starts))
-    return DrawnErrors(name, TIME_S, against, error, np.full((k, 12), 3.0 * size))
+    return DrawnErrors(name, np.arange(k), TIME_S, velocity, velocity, error, np.full((k, 12), 3.0 * size))
 
 
 def test_rms_is_of_the_drawn_starts_over_the_last_tenth_of_the_time() -> None:

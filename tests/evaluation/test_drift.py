@@ -12,16 +12,18 @@ from insdvl_replay.core.tables import DriftRow
 from insdvl_replay.evaluation.drift import (
     course_errors,
     distance_segments,
+    drift_table,
     segment_drift,
     time_segments,
+    track_fit_table,
 )
-from insdvl_replay.evaluation.drift_table import drift_table, track_fit_table
-from insdvl_replay.evaluation.paired_statistics import paired_ratio
-from insdvl_replay.evaluation.reference import ReferenceErrors
-from insdvl_replay.evaluation.travelled import reference_distance_m
+from insdvl_replay.evaluation.errors import DrawnErrors, ReferenceErrors, reference_distance_m, where_known
+from insdvl_replay.evaluation.series import paired_ratio
 from insdvl_replay.geometry.frames import moved_position
 
 SECOND = 1_000_000_000
+TIME_NS = SECOND * np.arange(1, 401, dtype=np.int64)
+TIME_S = np.arange(1.0, 401.0)
 START = np.array([0.57, 0.61, -20.0])
 
 
@@ -60,8 +62,9 @@ def test_error_that_grows_evenly_drifts_alike_over_every_segment() -> None:
     assert len(drift.horizontal_m) == 68, "starts every 5 s, as long as 60 s are left"
     np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
     np.testing.assert_allclose(drift.down_m, 0.6, atol=1e-9)
-    assert drift.segments.steps == 12
-    np.testing.assert_array_equal(drift.segments.end_ns - drift.segments.start_ns, 60 * SECOND)
+    segments = time_segments(errors.time_ns)
+    assert segments.steps == 12
+    np.testing.assert_array_equal(segments.end_ns - segments.start_ns, 60 * SECOND)
 
 
 def test_error_that_stays_is_no_drift() -> None:
@@ -76,8 +79,18 @@ def test_correction_of_the_position_is_no_drift() -> None:
     errors = replace(errors_of(corrected), dead_reckoned_error_ned_m=dead_reckoned)
     drift = segment_drift(errors, time_segments(errors.time_ns))
     np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
-    blind = errors.where_known(replace(errors, position_error_ned_m=np.where(corrected > 0.0, np.nan, corrected)))
+
+
+def test_runs_are_compared_where_a_single_run_says_something() -> None:
+    position_m = growing(400, (0.03, -0.04, 0.01))
+    known = np.arange(400)[:, None, None] % 2 == 0
+    none, twelve = np.zeros((2, 400, 3)), np.zeros((2, 400, 12))
+    drawn = DrawnErrors("a", TIME_NS, TIME_S, none + position_m, none, twelve, twelve[0], none + 2.0 * position_m)
+    single = replace(drawn, position_error_ned_m=np.where(known[:, 0], position_m, np.nan)[None])
+    blind = where_known(drawn, single)
     np.testing.assert_array_equal(np.isnan(blind.drifting_ned_m), np.isnan(blind.position_error_ned_m))
+    np.testing.assert_array_equal(blind.drifting_ned_m[:, ::2], 2.0 * position_m[::2] + none[:, ::2])
+    assert np.isnan(blind.position_error_ned_m[:, 1::2]).all()
 
 
 def test_random_walk_drifts_by_the_root_of_the_time() -> None:
@@ -126,7 +139,7 @@ def test_reference_that_is_slower_than_the_step_gives_fewer_segments() -> None:
     errors = errors_of(growing(30, (3.0, 4.0, 0.0)), step_s=20.0)
     drift = segment_drift(errors, time_segments(errors.time_ns))
     np.testing.assert_allclose(drift.horizontal_m, 15.0, atol=1e-9)
-    assert drift.segments.steps == 3
+    assert time_segments(errors.time_ns).steps == 3
 
 
 def test_what_is_not_known_stays_in_its_place() -> None:
@@ -150,7 +163,7 @@ def test_distance_segments_are_as_long_as_they_say() -> None:
     assert distance_m[-1] == pytest.approx(399 * 2.0)
     drift = segment_drift(errors, distance_segments(errors.time_ns, distance_m))
     np.testing.assert_allclose(drift.horizontal_m, 50 * 0.02, atol=1e-9)
-    assert drift.segments.steps == 10
+    assert distance_segments(errors.time_ns, distance_m).steps == 10
 
 
 def test_vehicle_that_stops_drifts_over_the_way_and_not_over_the_time() -> None:

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.effective_samples import samples_in_mean_square
+from insdvl_replay.evaluation.series import samples_in_mean_square
 
 
 def autoregressive(rng: np.random.Generator, coefficient: float, runs: int, k: int) -> Floats:

@@ -10,9 +10,8 @@ import pytest
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.tables import ConsistencyRow, EvidenceRow
 from insdvl_replay.core.words import ConvergenceStatus
-from insdvl_replay.evaluation.evidence import Measured, evidence_table
-from insdvl_replay.evaluation.losses import Losses
-from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence
+from insdvl_replay.evaluation.convergence import MeasuredConvergence
+from insdvl_replay.evaluation.evidence import Measured, SquaredErrors, evidence_table
 
 TIMES, STARTS = 300, 16
 PIECES = ("drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "level", "heading")
@@ -26,24 +25,23 @@ def errors(rng: np.random.Generator, rho: float = 0.5, starts: int = STARTS) -> 
     return drawn
 
 
-def losses(of_one: Floats, floor: float = 0.0) -> Losses:
-    return Losses("m", of_one**2, 1, floor)
+def losses(of_one: Floats, floor: float = 0.0) -> SquaredErrors:
+    return SquaredErrors("m", of_one**2, 1, floor)
 
 
 def evidence(
-    accuracy: Mapping[str, tuple[Losses, Losses]] | None = None,
+    accuracy: Mapping[str, tuple[SquaredErrors, SquaredErrors]] | None = None,
     coasting: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
     convergence: Mapping[str, MeasuredConvergence] | None = None,
     nis: tuple[ConsistencyRow, ...] = (),
 ) -> dict[str, EvidenceRow]:
     """Hold one candidate against the baseline; rows by quantity."""
-    by_filter = [{name: pair[i] for name, pair in (accuracy or {}).items()} for i in range(2)]
+    before, after = ({name: pair[i] for name, pair in (accuracy or {}).items()} for i in range(2))
     windows = [{name: np.array(pair[i]) for name, pair in (coasting or {}).items()} for i in range(2)]
     measured = Measured(
-        dict(zip(("baseline", "aided"), by_filter, strict=True)),
+        {"aided": (before, after)},
         dict(zip(("baseline", "aided"), windows, strict=True)),
         {"aided": convergence or {}},
-        {},
     )
     return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}
 
@@ -82,7 +80,7 @@ def test_values_are_of_this_dive_and_the_ratio_of_drawn_starts() -> None:
 
 def test_track_of_one_dive_decides_nothing() -> None:
     track = {"aided": {"position": (2.0, 1.0), "depth": (0.0, 0.1)}}
-    rows = evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}, {}, track=track), (), ())
+    rows = evidence_table("dive", "baseline", ["aided"], Measured(track=track), (), ())
     assert [(row.evidence, row.quantity, row.unit, row.word) for row in rows] == [
         ("track", "position", "m", "undecided"),
         ("track", "depth", "m", "undecided"),
@@ -100,7 +98,7 @@ def test_differences_below_what_the_reference_errs_by_are_none(floor: float, wor
     )
 
 
-def equal_filters(rng: np.random.Generator) -> dict[str, tuple[Losses, Losses]]:
+def equal_filters(rng: np.random.Generator) -> dict[str, tuple[SquaredErrors, SquaredErrors]]:
     return {quantity: (losses(errors(rng)), losses(errors(rng))) for quantity in PIECES}
 
 
@@ -123,11 +121,11 @@ def test_the_number_that_decides_is_printed() -> None:
         assert (row.word in {"better", "worse"}) == (beyond and row.p < 0.01)
 
 
-def outage(rng: np.random.Generator, share: float) -> tuple[Losses, Losses]:
+def outage(rng: np.random.Generator, share: float) -> tuple[SquaredErrors, SquaredErrors]:
     """Errors of which nearly all are in the last eighth but one of a dive of 80 to 480 s."""
     sizes = np.where((np.arange(TIMES) >= 0.75 * TIMES) & (np.arange(TIMES) < 0.875 * TIMES), 30.0, 1.0)
     before, after = (
-        Losses("m", (sizes * factor * errors(rng)) ** 2, 1, 0.0, span_s=(80.0, 480.0)) for factor in (1.0, share)
+        SquaredErrors("m", (sizes * factor * errors(rng)) ** 2, 1, 0.0, span_s=(80.0, 480.0)) for factor in (1.0, share)
     )
     return before, after
 
@@ -213,8 +211,8 @@ def test_honest_is_who_is_nearer_and_not_over_confident_instead(before: Any, aft
 
 def test_what_a_filter_broke_down_too_early_for_is_no_evidence() -> None:
     """It has no drift over 30 s, as one has that fixes of another continent throw off in the first."""
-    lost = {"velocity_along": Losses("m/s", np.ones((1, 50)), 1, 0.0)}
-    whole = lost | {"drift_30s": Losses("m", np.ones((1, 50)), 1, 0.0)}
-    measured = Measured({"baseline": whole, "aided": lost}, {}, {}, {})
+    lost = {"velocity_along": SquaredErrors("m/s", np.ones((1, 50)), 1, 0.0)}
+    whole = lost | {"drift_30s": SquaredErrors("m", np.ones((1, 50)), 1, 0.0)}
+    measured = Measured({"aided": (whole, lost)})
     rows = evidence_table("dive", "baseline", ["aided"], measured, (), ())
     assert [row.quantity for row in rows] == ["velocity_along"]

@@ -26,10 +26,7 @@ def honesty(
     consistency: Sequence[ConsistencyRow] = (), before: Sequence[Group] = (), after: Sequence[Group] = ()
 ) -> dict[str, EvidenceRow]:
     rows = [*credibility("baseline", before), *credibility("aided", after)]
-    return {
-        row.quantity: row
-        for row in evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}, {}), consistency, rows)
-    }
+    return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], Measured(), consistency, rows)}
 
 
 FINE = ("velocity", 1.0, "consistent")

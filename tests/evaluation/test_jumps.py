@@ -8,7 +8,7 @@ from test_consistency import history
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.tables import JumpRow
-from insdvl_replay.evaluation.jumps import jump_table
+from insdvl_replay.evaluation.drift import jump_table
 from insdvl_replay.geometry.frames import least_difference, moved_position
 
 RATE_HZ = 5

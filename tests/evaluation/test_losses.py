@@ -7,9 +7,8 @@ import pytest
 
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.drawn_errors import DrawnErrors
-from insdvl_replay.evaluation.losses import FEWEST_STARTS, ReferenceNoise, losses_of
-from insdvl_replay.evaluation.reference import ReferenceErrors
+from insdvl_replay.evaluation.errors import DrawnErrors
+from insdvl_replay.evaluation.evidence import FEWEST_STARTS, ReferenceNoise, accuracy_errors
 from insdvl_replay.sim.dive import exact_dive
 
 NOISE = ReferenceNoise(0.1, 0.02, 0.3)
@@ -41,9 +40,8 @@ def drawn(dive: Dive, starts: int = FEWEST_STARTS, unknown: slice = slice(0, 0))
     error = np.zeros((starts, len(time_s), 12))
     error[1:, :, 3], error[1:, :, 5] = ROLL_DEG * DEG, HEADING_DEG * DEG
     error[:, unknown] = np.nan
-    attitude: Floats = np.zeros_like(position_m)
-    runs = ReferenceErrors(time_ns, position_m, velocity_mps, attitude, 300.0)
-    return DrawnErrors("aided", time_s, (runs,) * starts, error, np.ones((len(time_s), 12)))
+    position_m, velocity_mps = (np.tile(column, (starts, 1, 1)) for column in (position_m, velocity_mps))
+    return DrawnErrors("aided", time_ns, time_s, position_m, velocity_mps, error, np.ones((len(time_s), 12)))
 
 
 def rms(squared: Floats) -> float:
@@ -51,7 +49,7 @@ def rms(squared: Floats) -> float:
 
 
 def test_each_quantity_is_the_square_of_what_was_put_in(dive: Dive) -> None:
-    found = losses_of(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
+    found = accuracy_errors(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
     assert list(found) == ALL
     speed_mps = float(np.linalg.norm(reference_of(dive).velocity_n[0]))
     expected = {
@@ -73,7 +71,7 @@ def test_each_quantity_is_the_square_of_what_was_put_in(dive: Dive) -> None:
 
 def test_floors_are_what_the_reference_itself_errs_by(dive: Dive) -> None:
     """A drift is the difference of two positions, horizontal ones with two components."""
-    found = losses_of(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
+    found = accuracy_errors(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
     floors = {quantity: losses.floor for quantity, losses in found.items()}
     assert floors == pytest.approx(
         {
@@ -91,31 +89,28 @@ def test_floors_are_what_the_reference_itself_errs_by(dive: Dive) -> None:
 
 
 def test_segments_share_what_their_neighbours_are_made_of(dive: Dive) -> None:
-    found = losses_of(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
+    found = accuracy_errors(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
     assert found["drift_60s"].least_block == 2 * found["drift_30s"].least_block > 2
     assert found["velocity_along"].least_block == 1
 
 
 def test_positions_through_a_long_gap_of_the_imu_are_no_evidence(dive: Dive) -> None:
-    found = losses_of(drawn(dive), reference_of(dive), NOISE, bridged_gaps=True)
+    found = accuracy_errors(drawn(dive), reference_of(dive), NOISE, bridged_gaps=True)
     assert list(found) == ["velocity_along", "velocity_across", "level", "heading"]
 
 
 @pytest.mark.parametrize(("unknown", "left"), [(slice(0, 20), ALL), (slice(100, 200), [])])
 def test_what_the_reference_does_not_cover_is_left_out(dive: Dive, unknown: slice, left: list[str]) -> None:
-    assert list(losses_of(drawn(dive, unknown=unknown), reference_of(dive), NOISE, bridged_gaps=False)) == left
+    assert list(accuracy_errors(drawn(dive, unknown=unknown), reference_of(dive), NOISE, bridged_gaps=False)) == left
 
 
 def test_attitude_from_few_starts_is_no_evidence(dive: Dive) -> None:
-    few = losses_of(drawn(dive, FEWEST_STARTS - 1), reference_of(dive), NOISE, bridged_gaps=False)
+    few = accuracy_errors(drawn(dive, FEWEST_STARTS - 1), reference_of(dive), NOISE, bridged_gaps=False)
     assert list(few) == ALL[:6]
 
 
 def test_reference_without_positions_has_velocities(dive: Dive) -> None:
     whole = drawn(dive)
-    nowhere = replace(whole.against_reference[0], position_error_ned_m=np.full_like(
-        whole.against_reference[0].position_error_ned_m, np.nan))  # fmt: skip
-    found = losses_of(
-        replace(whole, against_reference=(nowhere,) * FEWEST_STARTS), reference_of(dive), NOISE, bridged_gaps=False
-    )
+    nowhere = replace(whole, position_error_ned_m=np.full_like(whole.position_error_ned_m, np.nan))
+    found = accuracy_errors(nowhere, reference_of(dive), NOISE, bridged_gaps=False)
     assert list(found) == ["velocity_along", "velocity_across", "level", "heading"]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.measured_convergence import MeasuredConvergence, measured_convergence
+from insdvl_replay.evaluation.convergence import MeasuredConvergence, measured_convergence
 
 END_S, STARTS = 400.0, 16
 TIME_S = np.arange(0.05, END_S + 0.01, 0.05)

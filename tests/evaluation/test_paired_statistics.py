@@ -11,13 +11,13 @@ from scipy.stats import ttest_1samp
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import EvidenceWord
-from insdvl_replay.evaluation.effective_samples import block_length, samples_in_mean
-from insdvl_replay.evaluation.paired_statistics import (
+from insdvl_replay.evaluation.series import (
     NOTHING,
     RatioInterval,
+    block_length,
     dives_ratio,
     paired_ratio,
-    ratio_beside_starts,
+    samples_in_mean,
     what_settles,
     windows_ratio,
     word_of,
@@ -398,7 +398,7 @@ def test_one_run_among_those_of_drawn_starts_is_held_as_often_as_said(scatter: f
     for _ in range(trials):
         size = np.exp(scatter * rng.standard_normal((17, 1)))
         squared = (size * autoregressive(rng, 0.3, 17, 200)) ** 2
-        interval = ratio_beside_starts(squared[:16], squared[16])
+        interval = paired_ratio(squared[:16], squared[16])
         outside += not interval.low <= 1.0 <= interval.high
     assert outside <= 0.08 * trials
 
@@ -406,12 +406,12 @@ def test_one_run_among_those_of_drawn_starts_is_held_as_often_as_said(scatter: f
 def test_one_run_is_compared_in_the_mean_of_logarithms() -> None:
     rng = np.random.default_rng(9)
     base = rng.standard_normal((1, 400)) ** 2
-    interval = ratio_beside_starts(np.vstack([base, 4.0 * base, 16.0 * base]), 36.0 * base[0])
+    interval = paired_ratio(np.vstack([base, 4.0 * base, 16.0 * base]), 36.0 * base[0])
     assert interval.ratio == pytest.approx(3.0)
     # ln 6, ln 3 and ln 1.5 have a standard deviation of ln 2; the one run's start adds to that of the mean.
     width = np.log(2.0) * np.sqrt(1.0 + 1.0 / 3.0)
     assert np.log(interval.high / interval.ratio) == pytest.approx(4.303 * width, rel=0.02)
-    assert ratio_beside_starts(np.vstack([base, base]), np.full(400, np.nan)) == NOTHING
+    assert paired_ratio(np.vstack([base, base]), np.full(400, np.nan)) == NOTHING
 
 
 def test_interval_of_independent_pairs_is_students() -> None:

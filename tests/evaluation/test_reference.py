@@ -15,13 +15,13 @@ from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.reference import (
+from insdvl_replay.evaluation.errors import (
     ReferenceErrors,
     attitude_error,
+    distance_travelled_m,
     reference_error_table,
     reference_errors,
 )
-from insdvl_replay.evaluation.travelled import distance_travelled_m
 from insdvl_replay.geometry.frames import north_east_down_m
 
 SECOND = 1_000_000_000

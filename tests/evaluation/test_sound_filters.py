@@ -10,8 +10,8 @@ import pytest
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.tables import ReferenceErrorRow
-from insdvl_replay.evaluation.reference import ReferenceErrors
-from insdvl_replay.evaluation.sound_filters import far_off
+from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.verdicts import far_off
 
 seconds = np.arange(1, 401)
 every_second = np.arange(400)

@@ -13,8 +13,7 @@ from insdvl_replay.core.quantities import DECIDING
 from insdvl_replay.core.states import STATES, states_with
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.evaluation.consistency import consistency_table
-from insdvl_replay.evaluation.evidence import Measured, evidence_table
-from insdvl_replay.evaluation.withheld import withheld_losses
+from insdvl_replay.evaluation.evidence import Measured, evidence_table, held_out_errors
 
 AXES = {"depth": (), "heading": (), "position": ("n", "e")}
 FIXES_S = 3600
@@ -42,8 +41,8 @@ def walk(rng: np.random.Generator, step_m: float, size: int) -> Floats:
 
 def word(sensor: str, baseline: Floats, candidate: Floats, noise_sd: float) -> EvidenceRow:
     pair = history("baseline", sensor, baseline), history("aided", sensor, candidate)
-    losses = {one.filter: withheld_losses(one, {sensor: np.full(3, noise_sd)}) for one in pair}
-    (row,) = evidence_table("dive", "baseline", ["aided"], Measured({}, {}, {}, losses), (), ())
+    before, after = (held_out_errors(met_by, {sensor: np.full(3, noise_sd)}) for met_by in pair)
+    (row,) = evidence_table("dive", "baseline", ["aided"], Measured(held_out={"aided": (before, after)}), (), ())
     return row
 
 
@@ -97,7 +96,7 @@ def test_a_depth_has_no_vote_and_what_was_used_is_no_evidence() -> None:
     assert "withheld_depth" not in DECIDING
     assert "withheld_position" in DECIDING
     aided = history("aided", "depth", np.ones((9, 1)), is_withheld=False)
-    assert not withheld_losses(aided, {"depth": np.array([0.1])})
+    assert not held_out_errors(aided, {"depth": np.array([0.1])})
 
 
 def consistency_of(sd: float, correlation_s: float, seed: int) -> tuple[str, str]:

@@ -13,7 +13,7 @@ from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.evaluation.consistency import update_notes
-from insdvl_replay.evaluation.sound_filters import dead_filters
+from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.running import prepared_timeline, run_filters
@@ -228,7 +228,7 @@ def test_whichever_beam_errs_the_filter_that_refuses_it_is_judged(beam: int) -> 
     rng, beams = np.random.default_rng(1), dive.dvl.beam_velocity_mps.copy()
     beams[rng.random(len(beams)) < 0.2, beam] += 0.5
     replay = replay_dive(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams)), settings(0.999))
-    assert dead_filters(replay.histories).keys() == {"baseline"}
+    assert diverged_filters(replay.histories).keys() == {"baseline"}
 
 
 @pytest.mark.parametrize("heard", [range(4), range(3)], ids=["four beams", "the last is dead"])
@@ -242,7 +242,7 @@ def test_a_filter_whose_pings_are_refused_is_not_judged(heard: range) -> None:
     stubborn = msgspec.structs.replace(config.filters["single"], gate_reopen_after=0)
     config = msgspec.structs.replace(config, filters={**config.filters, "single": stubborn})
     replay = replay_dive(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=beams)), config)
-    assert re.search(r"single .*\d+ .*\b1200 ", dead_filters(replay.histories)["single"])
+    assert re.search(r"single .*\d+ .*\b1200 ", diverged_filters(replay.histories)["single"])
 
 
 def test_pings_that_are_refused_one_by_one_are_no_run_though_the_last_beam_is_dead() -> None:

@@ -17,8 +17,7 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceC
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import STATES
-from insdvl_replay.evaluation.chi_square import SMALL_EXCESS
-from insdvl_replay.evaluation.consistency import FEWEST_UPDATES
+from insdvl_replay.evaluation.chi_square import FEWEST_UPDATES, SMALL_EXCESS
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, exact_dive, simulate_dive
@@ -525,7 +524,7 @@ def test_errors_of_a_long_dive_are_judged_at_fewer_times_by_the_same_p(
     straight: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = replay_dive(straight, config(), keep_cov=True)
-    monkeypatch.setattr("insdvl_replay.evaluation.judging.MOST_COVARIANCES", len(reference_of(straight).time_ns))
+    monkeypatch.setattr("insdvl_replay.evaluation.evaluate.MOST_COVARIANCES", len(reference_of(straight).time_ns))
     fewer = replay_dive(straight, config(), keep_cov=True)
     for before, after in zip(whole.histories, fewer.histories, strict=True):
         np.testing.assert_array_equal(after.cov_ns, before.cov_ns[::2], "two filters share the room")

@@ -7,8 +7,8 @@ import pytest
 
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import EvidenceRow
-from insdvl_replay.evaluation.evaluate import ConvergenceCurves, OutageCurve
-from insdvl_replay.evaluation.outage_test import DriftOverTime
+from insdvl_replay.evaluation.convergence import ConvergenceCurves
+from insdvl_replay.evaluation.outage_test import OutageCurve
 from insdvl_replay.results.evidence_figures import coasting_figure, convergence_figure
 from insdvl_replay.results.filter_figures import Clock
 
@@ -47,8 +47,8 @@ def test_each_filter_has_a_line_what_it_believes_and_a_point_where_it_has_conver
 
 
 def test_coasting_is_drawn_over_time_and_by_window_and_says_what_it_is_blind_to() -> None:
-    over_time = DriftOverTime(np.arange(3.0), np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 5.0]))
-    curve = OutageCurve(over_time, np.array([100, 130]) * S, np.array([2.0, 5.0]))
+    over_time = np.arange(3.0), np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 5.0])
+    curve = OutageCurve(*over_time, np.array([100, 130]) * S, np.array([2.0, 5.0]))
     (figure,) = coasting_figure({"baseline": curve, "aided": curve}, Clock(0, 400 * S))
     assert "over 2 windows" in figure.caption
     drift, windows = figure.panels

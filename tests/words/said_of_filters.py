@@ -10,7 +10,7 @@ from made_histories import history
 from made_verdicts import judged
 
 from insdvl_replay.evaluation.consistency import update_notes
-from insdvl_replay.evaluation.sound_filters import dead_filters
+from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.preparation.long_gaps import outage_notes
 
 UNSOUND = {"aided": "aided rejected 209 of 300"}
@@ -52,7 +52,7 @@ def said_of_filters(_: Path) -> Cases:
     lost = replace(lost, innovations=(replace(lost.innovations[0], gate=25.9, reopened=np.arange(300) < 4),))
     broken = replace(history("broken", np.full(100, 3.0)), velocity_n=np.array([[0.0, np.nan, 0.0]]))
     blind = replace(history("blind", np.full(100, 3.0)), sd=np.full((1, 12), np.nan))
-    yield "filters that are not judged", "\n".join(dead_filters((many, lost, broken, blind)).values())
+    yield "filters that are not judged", "\n".join(diverged_filters((many, lost, broken, blind)).values())
     yield "gates that reject much", noted(update_notes((many,)))
     for name, pings_s in (
         ("one long outage", [*range(1, 300), *range(601, 2000)]),
