@@ -32,9 +32,10 @@ from built_in import (
 )
 from results import machine, table, write_part
 
-from insdvl_replay.calibration.calibration import Calibration, calibrate
+from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
 from insdvl_replay.calibration.certainty import certainty_of
-from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, read_dive, with_mounting
+from insdvl_replay.calibration.fit import likeliest_mounting, with_mounting
+from insdvl_replay.calibration.innovations import read_dive
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
@@ -215,7 +216,7 @@ def wild_pings() -> Iterator[Line]:
         wild = np.random.default_rng(seed).random(len(beams_mps)) < 0.05
         dvl = replace(read.dive.dvl, beam_velocity_mps=np.where(wild[:, None], 10.0 * beams_mps, beams_mps))
         before, after = found_of(read), found_of(replace(read, dive=replace(read.dive, dvl=dvl)))
-        moved.append(np.max(np.abs((after.fit.of_dive(0) - before.fit.of_dive(0)) / _said(before))))
+        moved.append(np.max(np.abs((after.fit.change(0) - before.fit.change(0)) / _said(before))))
     yield (
         "5 % of the pings 10 times too large",
         "estimates move by less than 1 sd",

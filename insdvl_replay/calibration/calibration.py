@@ -4,29 +4,37 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.certainty import (
+    MOSTLY,
     SEEN,
     Certainty,
     autocorrelation,
+    beside_imu_errors,
     certainty_of,
     correlations,
+    effects_of_errors,
     mean_change,
+    nis_by_errors,
+    noise_share,
     own_delays,
+    pulled,
+    seen_by_motion,
 )
-from insdvl_replay.calibration.considered import beside_imu_errors, effects_of_errors, nis_by_errors, pulled
-from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, Mask, fit, scatter_of
-from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
-from insdvl_replay.calibration.motion import MOSTLY, noise_share, seen_by_motion
+from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, fit, scatter_of
+from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, DiveInnovations, Mask, ReadDive
 from insdvl_replay.calibration.noise import (
+    INERTIAL,
     NO_GEOMETRY,
+    UNITS,
     FittedNoise,
+    JudgedNoise,
     fit_noise,
     judged_noise,
     levelled,
-    noise_doubts,
-    noise_rows,
+    nis_per_dof,
 )
 from insdvl_replay.calibration.parameters import (
     ALL_GROUPS,
@@ -35,15 +43,27 @@ from insdvl_replay.calibration.parameters import (
     NOISE,
     PARAMETERS,
     SCALE,
-    DvlGeometry,
+    Geometry,
     Parameter,
+    moved_mounting,
+    moved_pings,
 )
-from insdvl_replay.calibration.reference_parameters import ReferenceGeometry
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
+from insdvl_replay.calibration.rows import (
+    DiveRow,
+    HeldOutRow,
+    NoiseRow,
+    ParameterRow,
+    ReferenceDiveRow,
+    StartRow,
+)
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.table import Number
 from insdvl_replay.core.words import Estimated
+from insdvl_replay.evaluation.consistency import CLASSES, sensor_class
+from insdvl_replay.evaluation.outage_test import outage_test_table
+from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
+from insdvl_replay.preparation.start_heading import prepare_with_heading
 
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
 """Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
@@ -65,27 +85,31 @@ CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
 TOO_LARGE: Final = 2.0
 """Innovations that scatter by more, in their own sds, hold something that no geometry explains."""
+OUTAGE_S: Final = "60"
 AXES: Final = ("forward", "starboard", "down")
+
+Refusals = Iterator[tuple[int, tuple[Estimated, str]]]
+"""Places of parameters that must stay as they are, and why."""
 
 
 @dataclass(frozen=True)
 class ReferenceCalibration:
     """What the dives' references say of themselves: ``[reference]`` before and after, and what that rests on."""
 
-    before: ReferenceGeometry
-    after: ReferenceGeometry
+    before: Geometry
+    after: Geometry
     rows: tuple[ParameterRow, ...]
     dives: tuple[ReferenceDiveRow, ...]
-    starts: tuple[StartRow, ...] = ()
+    starts: tuple[StartRow, ...]
 
 
 @dataclass(frozen=True)
 class Calibration:
     """What several dives say of their vehicle."""
 
-    before: DvlGeometry
-    after: DvlGeometry  # what is proposed
-    change: Floats  # shape (8,): what is proposed, zero where nothing is
+    before: Geometry
+    after: Geometry  # what is proposed
+    change: Floats  # (8,): what is proposed, zero where nothing is
     rows: tuple[ParameterRow, ...]
     dives: tuple[DiveRow, ...]
     doubts: tuple[str, ...]  # what speaks against believing it
@@ -96,12 +120,8 @@ class Calibration:
     tried: str = ""  # which mounting was tried first, where nobody knew it
     reference: ReferenceCalibration | None = None
 
-    def with_held_out(self, rows: Sequence[HeldOutRow]) -> "Calibration":
-        """Add how dives fare that were not fitted."""
-        return replace(self, held_out=tuple(rows))
-
-    def from_mounting(self, before: DvlGeometry, ways: int) -> "Calibration":
-        """Tell that so many ways of mounting were tried first, and what the configuration says in their place."""
+    def from_mounting(self, before: Geometry, ways: int) -> "Calibration":
+        """Report that so many ways of mounting were tried first, and what the configuration says in their place."""
         roll, pitch, heading = self.before.mounting_rpy_deg
         tried = (
             f"of {ways} mountings, roll {roll:g}, pitch {pitch:g}, heading {heading:g} deg is the likeliest; changes "
@@ -110,8 +130,13 @@ class Calibration:
         return replace(self, before=before, tried=tried)
 
     def change_of_dive(self, dive: int) -> Floats:
-        """Return what is proposed with the dive's own delay, shape (8,)."""
-        return self.fit.of_dive(dive) * [row.status == Estimated.ESTIMATED for row in self.rows]
+        """Return what is proposed with the dive's own delay, (8,)."""
+        return self.fit.change(dive) * [row.status == Estimated.ESTIMATED for row in self.rows]
+
+    @property
+    def all_rows(self) -> tuple[ParameterRow, ...]:
+        """The DVL's parameters, and those of the reference."""
+        return (*self.rows, *(() if self.reference is None else self.reference.rows))
 
     @property
     def estimated(self) -> tuple[ParameterRow, ...]:
@@ -123,70 +148,62 @@ class Calibration:
         """Whether any noise is proposed."""
         return any(row.is_proposed for row in self.noise_rows)
 
-    @property
-    def all_rows(self) -> tuple[ParameterRow, ...]:
-        """The DVL's parameters, and those of the reference."""
-        return (*self.rows, *(() if self.reference is None else self.reference.rows))
-
 
 def calibrate(
     dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = ALL_GROUPS, *, one_delay: bool = False
 ) -> Calibration:
     """Estimate what the dives show, and leave the rest as it is."""
     asked = np.array([parameter.group in groups for parameter in PARAMETERS])
+
+    def fitted(dives: Sequence[DiveInnovations], free: Mask, **how: Any) -> Fit:
+        # A scale that nothing shows and that runs away takes the arm with it.
+        found = fit(dives, free, one_delay=one_delay, **how)
+        if not _is_wild(mean_change(found)[SCALE]) or certainty_of(found).seen[SCALE] >= SEEN:
+            return found
+        return fit(dives, free & (np.arange(len(NAMES)) != SCALE), one_delay=one_delay, **how)
+
     # Of a noise that is far off, the standard deviations are, and a noise that is fitted before the geometry hides it.
-    first = _fitted(dives, asked, one_delay=one_delay, settled=NEARLY_SETTLED)
-    noise = fit_noise(dives, [first.of_dive(i) for i in range(len(dives))])
+    first = fitted(dives, asked, settled=NEARLY_SETTLED)
+    noise = fit_noise(dives, [first.change(i) for i in range(len(dives))])
     dives = [noise.applied(dive) for dive in dives]
-    settled = _fitted(dives, first.unknowns.free, one_delay=one_delay, start=first.values)
+    settled = fitted(dives, first.unknowns.free, start=first.values)
     noise_shares = noise_share(settled, dives)
-    all_at_once = seen_by_motion(settled, dives, noise_shares)
-    effects = effects_of_errors(all_at_once, dives)
-    beside = beside_imu_errors(all_at_once, effects)
-    certainty = certainty_of(all_at_once, beside, pulled(beside, effects))
-    refused = dict(_refused(certainty, mean_change(all_at_once), asked, noise_shares.min(axis=0)))
-    free = asked & np.array([row not in refused for row in range(len(PARAMETERS))])
+    found = seen_by_motion(settled, dives, noise_shares)
+    effects = effects_of_errors(found, dives)
+    beside = beside_imu_errors(found, effects)
+    certainty = certainty_of(found, beside, pulled(beside, effects))
+    refused = dict(_refused(certainty, mean_change(found), asked, noise_shares.min(axis=0)))
+    free = asked & ~np.isin(np.arange(len(NAMES)), list(refused))
     # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
-    change = np.where(free, mean_change(all_at_once), 0.0)
+    change = np.where(free, mean_change(found), 0.0)
     noise = levelled(noise, dives, [change] * len(dives))
-    held = NO_GEOMETRY if asked.any() and not free.any() else ""
-    if NOISE in groups and not held:
-        by_errors = nis_by_errors(all_at_once, effects)
-        noise, of_noise = judged_noise(noise, dives, [change] * len(dives), by_errors, config)
+    is_hidden = asked.any() and not free.any()
+    if NOISE in groups and not is_hidden:
+        own = config.filters[config.baseline]
+        noise, judged = judged_noise(noise, dives, [change] * len(dives), nis_by_errors(found, effects), own)
     else:
         status = Estimated.HELD if NOISE in groups else Estimated.NOT_ASKED
-        of_noise = noise_rows(noise, dict.fromkeys(noise.after, (status, held)), {})
-    before = DvlGeometry.of(config)
-    rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(all_at_once), asked, refused))
-    of_dives = tuple(_dive_rows([noise.applied(dive) for dive in dives], all_at_once, free))
-    doubts = (*_doubts(all_at_once, certainty, free), *_doubts_of_dives(of_dives), *noise_doubts(of_noise))
-    return Calibration(before, before.changed(change), change, rows, of_dives, doubts, all_at_once, noise, of_noise)
-
-
-def _fitted(dives: Sequence[DiveInnovations], asked: Mask, **how: Any) -> Fit:
-    """Fit all that is asked for, without a scale that nothing shows and that runs away, and takes the arm with it."""
-    found = fit(dives, asked, **how)
-    if not _is_wild(mean_change(found)[SCALE]) or certainty_of(found).seen[SCALE] >= SEEN:
-        return found
-    return fit(dives, asked & (np.array(NAMES) != NAMES[SCALE]), **how)
+        judged = dict.fromkeys(noise.after, JudgedNoise(status, NO_GEOMETRY if is_hidden else ""))
+    noise_rows = tuple(_noise_row(key, noise, judged[key]) for key in noise.after)
+    rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(found), asked, refused))
+    dive_rows = tuple(_dive_rows([noise.applied(dive) for dive in dives], found, free))
+    doubts = tuple(_doubts(found, certainty, free, dive_rows, noise_rows))
+    before = Geometry.of(config.dvl)
+    return Calibration(before, before.changed(change), change, rows, dive_rows, doubts, found, noise, noise_rows)
 
 
 def _is_wild(scale: float) -> bool:
     return bool(abs(np.expm1(scale)) > BELIEVABLE_SCALE)
 
 
-def _refused(
-    certainty: Certainty, change: Floats, asked: Mask, noise_shares: Floats
-) -> Iterator[tuple[int, tuple[Estimated, str]]]:
-    """Find what must stay as it is, and why."""
+def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Floats) -> Refusals:
     for row in np.flatnonzero(asked).tolist():
         parameter = PARAMETERS[row]
         # What beams may be off by is a part of the scale that this DVL has.
         seen = (certainty.seen if row == SCALE else certainty.signal_to_noise)[row]
-        least = LEAST_SEEN.get(parameter.group, SEEN)
         if noise_shares[row] > MOSTLY:
             yield row, (Estimated.HELD, f"{NOISE_ALONE}: needs {parameter.shown_by}")
-        elif seen < least:
+        elif seen < LEAST_SEEN.get(parameter.group, SEEN):
             yield row, (Estimated.HELD, SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
@@ -205,70 +222,54 @@ def parameter_rows(
     refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
     """Lay out parameters in their order: what is proposed, what was found and is not believed, and how sure each is."""
+    c = certainty
+    sds = np.array([c.formal, c.correlated, c.between, c.beams, c.imu, c.sd, c.signal_to_noise, c.birge])
     for row, parameter in enumerate(parameters):
         if not asked[row]:
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
         change = {Estimated.HELD: 0.0, Estimated.DOUBTFUL: found[row]}.get(status, proposed[row])
-        shown = parameter.shown_as
-        yield ParameterRow(
-            parameter.name,
-            parameter.unit,
-            shown * float(change),
-            _number(shown * certainty.formal[row]),
-            _number(shown * certainty.correlated[row]),
-            _number(shown * certainty.between[row]),
-            _number(shown * certainty.beams[row]),
-            _number(shown * certainty.imu[row]),
-            _number(shown * certainty.sd[row]),
-            _number(certainty.signal_to_noise[row]),
-            _number(certainty.birge[row]),
-            status,
-            why,
-        )
+        units = np.repeat([parameter.shown_as, 1.0], [6, 2])
+        formal, correlated, between, beams, imu, sd, signal, birge = map(finite_or_none, units * sds[:, row])
+        shown = parameter.shown_as * float(change)
+        measured = (shown, formal, correlated, between, beams, imu, sd, signal, birge)
+        yield ParameterRow(parameter.name, parameter.unit, *measured, status, why)
 
 
-def _number(value: float) -> Number:
+def finite_or_none(value: float) -> Number:
+    """Return a number for a row."""
     return float(value) if np.isfinite(value) else None
+
+
+def _noise_row(key: str, noise: FittedNoise, judged: JudgedNoise) -> NoiseRow:
+    after, known_class = noise.after[key], sensor_class(key, noise.after[key]) if key in INERTIAL else ""
+    return NoiseRow(key, UNITS[key], noise.before[key], after, judged.sd, known_class, judged.status, judged.why)
 
 
 def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, free: Mask) -> Iterator[DiveRow]:
     delays_s, sds_s = own_delays(found)
-    is_free = bool(free[DELAY])
     for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
-        before, after = (scatter_of(dive.residuals(free * at)) for at in (np.zeros(len(NAMES)), found.of_dive(i)))
-        yield DiveRow(
-            dive.name,
-            dive.count,
-            dive.left_out,
-            float(delays_s[i]) if is_free else None,
-            float(sds_s[i]) if is_free else None,
-            *(_triple(axes) for axes in (before, after, autocorrelation(near))),
-        )
+        delay = (float(delays_s[i]), float(sds_s[i])) if free[DELAY] else (None, None)
+        before, after = (scatter_of(dive.residuals(free * change)) for change in (NO_CHANGE, found.change(i)))
+        axes = (tuple(values.tolist()) for values in (before, after, autocorrelation(near)))
+        yield DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes)
 
 
-def _triple(axes: Floats) -> tuple[float, float, float]:
-    x, y, z = axes.tolist()
-    return x, y, z
-
-
-def _doubts(found: Fit, certainty: Certainty, free: Mask) -> Iterator[str]:
-    """State what the fit itself says against the answer."""
+def _doubts(
+    found: Fit, certainty: Certainty, free: Mask, dives: Sequence[DiveRow], noise: Sequence[NoiseRow]
+) -> Iterator[str]:
+    """State what speaks against the answer."""
     for row in np.flatnonzero(free & (np.nan_to_num(certainty.birge) > MANY_TIMES)):
         yield (
-            f"the dives differ in {PARAMETERS[row].name} {certainty.birge[row]:.1f} times as much as each is sure: "
+            f"the dives differ in {NAMES[row]} {certainty.birge[row]:.1f} times as much as each is sure: "
             "was the DVL moved between them?"
         )
-    if weak := [row for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK]:
-        names = ", ".join(PARAMETERS[row].name for row in weak)
+    if weak := [NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK]:
+        names = ", ".join(weak)
         yield f"weakly seen, signal to noise below {WEAK:g}: {names}; try them on other dives (--hold-out)"
-    for one, other, correlation in correlations(found, INSEPARABLE):
-        yield f"{one} and {other} can hardly be told apart (correlation {correlation:+.2f})"
-
-
-def _doubts_of_dives(dives: Sequence[DiveRow]) -> Iterator[str]:
-    """State what the innovations that are left say against it."""
+    for first, second, correlation in correlations(found, INSEPARABLE):
+        yield f"{first} and {second} can hardly be told apart (correlation {correlation:+.2f})"
     for dive in dives:
         for axis, scatter, correlation in zip(AXES, dive.after, dive.autocorrelation, strict=True):
             if scatter > TOO_LARGE:
@@ -281,3 +282,32 @@ def _doubts_of_dives(dives: Sequence[DiveRow]) -> Iterator[str]:
                     f"{dive.dive}: neighbouring innovations {axis} are alike ({correlation:.2f}): the DVL smooths, "
                     "or is less noisy along this axis than along others"
                 )
+    for found_noise in noise:
+        if found_noise.status == Estimated.DOUBTFUL:
+            sensors = CLASSES[found_noise.parameter].name
+            yield (
+                f"{found_noise.parameter}: {found_noise.why}: vibration, stamps that jitter, or what is left of "
+                f"geometry and time stands in it for the {sensors}' own; it is not proposed"
+            )
+
+
+def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = None) -> HeldOutRow:
+    """Say how a dive that was not fitted fares before and after a change, (8,), and with another noise, too."""
+    asked, config = read.innovations(), read.config
+    alone = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
+    prepared = prepare_with_heading(read.dive, alone)
+    nis: list[float] = []
+    outages = []
+    for tried in (NO_CHANGE, change):
+        nis.append(float(np.mean(asked.history(tried).innovations[0].nis)) / 3.0)
+        pings = moved_pings(prepared.velocities, tried).within(prepared.alignment.start_ns, prepared.end_ns)
+        moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried))
+        plan, timeline = coasting_plan(moved), prepared_timeline(read.dive, moved)
+        histories = run_filters(moved, timeline, cov_ns=plan.start_ns)
+        drifts = coasting_of(read.dive, alone, moved, timeline, histories, plan)
+        rows = outage_test_table(read.dive.name, drifts)
+        outages.append(next((row for row in rows if row.window_s == OUTAGE_S), None))
+    windows = outages[0].windows if outages[0] else 0
+    noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
+    before_m, after_m = (None if row is None else row.drift_median_m for row in outages)
+    return HeldOutRow(asked.name, nis[0], nis[1], windows, before_m, after_m, noisy)

@@ -6,15 +6,20 @@ autocorrelation consistent covariance matrix", 1987; Birge, "The calculation of 
 1932; DerSimonian and Laird, "Meta-analysis in clinical trials", 1986, for the mean of what differs from dive to dive.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.calibration.considered import BEAM_ERRORS
-from insdvl_replay.calibration.fit import SHARED, Fit, Linearised
+from insdvl_replay.calibration.fit import OWN, SHARED_ROWS, Fit, Linearised
+from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.parameters import DELAY, NAMES
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import Floats, ImuColumns
+from insdvl_replay.core.runtime import parallel_map
+from insdvl_replay.evaluation.consistency import readings_scatter
+from insdvl_replay.geometry.frames import beam_vectors
 
 FEWEST_DIVES: Final = 2
 SEEN: Final = 3.0
@@ -23,19 +28,19 @@ SEEN: Final = 3.0
 
 @dataclass(frozen=True)
 class Certainty:
-    """Standard deviations of p parameters, SI; the delay's is that of its mean over dives."""
+    """Standard deviations of p parameters, SI, (p,) each; the delay's is that of its mean over dives."""
 
-    prior_sd: Floats  # shape (p,): how far papers may be off; of a mean over dives, less
+    prior_sd: Floats  # how far papers may be off; of a mean over dives, less
     formal: Floats  # by the information
     correlated: Floats  # with the correlation of the innovations
     between: Floats  # by how the dives differ; NaN of fewer than `FEWEST_DIVES`
     birge: Floats  # how much more dives differ than they should: 1 is expected; NaN of one dive
-    beams: Floats  # what single beams may be off by, see `considered`
-    imu: Floats  # what is left of the errors of the IMU, likewise
+    beams: Floats  # what single beams may be off by
+    imu: Floats  # what is left of the errors of the IMU
 
     @property
     def sd(self) -> Floats:
-        """The largest of the three, and what beams may be off by beside it, at most the prior's, shape (p,)."""
+        """The largest of the three, and what beams and IMU may be off by beside it, at most the prior's."""
         return np.asarray(np.minimum(np.sqrt(self._largest**2 + self.beams**2 + self.imu**2), self.prior_sd))
 
     @property
@@ -44,41 +49,40 @@ class Certainty:
 
     @property
     def signal_to_noise(self) -> Floats:
-        """The prior's sd over that of the data alone, shape (p,)."""
+        """The prior's sd over that of the data alone."""
         return np.sqrt((self.prior_sd / self.sd) ** 2 - 1.0)
 
     @property
     def seen(self) -> Floats:
-        """The same with perfect beams, shape (p,): whether the dives show it at all."""
+        """The same with perfect beams: whether the dives show it at all."""
         return np.sqrt((self.prior_sd / np.minimum(self._largest, self.prior_sd)) ** 2 - 1.0)
 
 
-def certainty_of(fit: Fit, beside: Fit | None = None, pulled: Floats | None = None) -> Certainty:
-    """Say how sure a fit is; `beside` and `pulled` are of `considered`, left out where beams and IMU are perfect."""
+def certainty_of(fit: Fit, beside: Fit | None = None, pulled_by: Floats | None = None) -> Certainty:
+    """Say how sure a fit is, with what `beside_imu_errors` and `pulled` return; without, where sensors are perfect."""
     mean_of, inner = _means(fit), beside or fit
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, inner.cov, mean_of))
-    moved = inner.moved_by_scores
-    sandwich = moved @ _scores_cov(inner) @ moved.T
-    correlated = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, sandwich, mean_of))
-    beams = imu = np.zeros(len(NAMES))
-    if pulled is not None:
-        pulled = mean_of @ np.column_stack([pulled, inner.step])
-        beams, imu = (np.linalg.norm(part, axis=1) for part in np.split(pulled, [BEAM_ERRORS], axis=1))
-    own, own_sd = one_by_one(fit)
-    n = len(own)
+    # What the prior says is one measurement of its own, and has no neighbours.
+    moved = mean_of @ inner.moved_by_scores
+    scores_cov = inner.unknowns.total([newey_west(near.scores) for near in inner.dives])
+    correlated = np.sqrt(np.einsum("ij,jk,ik->i", moved, scores_cov, moved))
+    beams = imu = np.zeros(OWN)
+    if pulled_by is not None:
+        parts = mean_of @ np.column_stack([pulled_by, inner.step])
+        beams, imu = (np.linalg.norm(part, axis=1) for part in np.split(parts, [BEAM_ERRORS], axis=1))
     # Behind a mean of delays that are each dive's own stand as many priors.
     prior_sd = np.sqrt(mean_of**2 @ fit.unknowns.prior_sd**2)
-    if n < FEWEST_DIVES:
-        unknown = np.full(len(NAMES), np.nan)
-        return Certainty(prior_sd, formal, correlated, unknown, unknown, beams, imu)
-    weights = own_sd**-2.0
-    weights[:, DELAY] = delay_weights(*own_delays(fit))
-    between, birge = differing(own, own_sd, weights)
+    between = birge = np.full(OWN, np.nan)
+    if len(fit.dives) >= FEWEST_DIVES:
+        own, own_sd = one_by_one(fit)
+        weights = own_sd**-2.0
+        weights[:, DELAY] = delay_weights(*own_delays(fit))
+        between, birge = differing(own, own_sd, weights)
     return Certainty(prior_sd, formal, correlated, between, birge, beams, imu)
 
 
 def differing(own: Floats, own_sd: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Return by what dives differ: the standard deviation of their mean by it, and the Birge ratio, shapes (p,).
+    """Return the sd of a mean over dives by how they differ, and the Birge ratio, (p,), of values and weights (n, p).
 
     A dive that lies still says nothing, and differs from nothing. Where all count alike, the first is their scatter
     over the root of how many they are.
@@ -112,41 +116,28 @@ def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:
     cov = mean_of @ fit.cov @ mean_of.T
     sd = np.sqrt(np.diag(cov))
     correlation = cov / np.outer(sd, sd)
-    return [
-        (NAMES[i], NAMES[j], float(correlation[i, j]))
-        for i, j in zip(*np.triu_indices(len(NAMES), 1), strict=True)
-        if abs(correlation[i, j]) >= at_least
-    ]
+    rows, columns = np.nonzero(np.triu(np.abs(correlation) >= at_least, 1))
+    return [(NAMES[i], NAMES[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)]
 
 
 def mean_change(fit: Fit) -> Floats:
-    """Return the change of each parameter, shape (8,); of the delay the mean over dives."""
+    """Return the change of each parameter, (8,); of the delay the mean over dives."""
     return np.asarray(_means(fit) @ fit.values)
 
 
 def _means(fit: Fit) -> Floats:
-    """Return what makes the eight of all unknowns, shape (8, count): the delay is the dives', by `delay_weights`."""
+    """Return what makes the eight of all unknowns, (8, count): the delay is the dives', by `delay_weights`."""
     unknowns = fit.unknowns
-    rows = np.zeros((len(NAMES), unknowns.count))
-    rows[SHARED, unknowns.rows(0)[SHARED]] = 1.0
+    rows = np.zeros((OWN, len(unknowns.parameters)))
+    rows[SHARED_ROWS, unknowns.rows(0)[SHARED_ROWS]] = 1.0
     weights = delay_weights(*own_delays(fit))
     for dive, share in enumerate(weights / weights.sum()):
         rows[DELAY, unknowns.rows(dive)[DELAY]] += share
     return rows
 
 
-def _scores_cov(fit: Fit) -> Floats:
-    """Return the covariance of what all pings say together, with the correlation of neighbours."""
-    # What the prior says is one measurement of its own.
-    total = np.diag(fit.unknowns.prior_sd**-2.0)
-    for i, near in enumerate(fit.dives):
-        rows = fit.unknowns.rows(i)
-        total[np.ix_(rows, rows)] += newey_west(near.scores)
-    return total
-
-
 def newey_west(scores: Floats) -> Floats:
-    """Return the covariance of the sum of correlated rows, shape (k, n), with Bartlett's weights."""
+    """Return the covariance of the sum of correlated rows, (k, n), with Bartlett's weights."""
     k = len(scores)
     lags = int(4.0 * (k / 100.0) ** (2.0 / 9.0)) + 5
     centred = scores - scores.mean(axis=0)
@@ -158,23 +149,186 @@ def newey_west(scores: Floats) -> Floats:
 
 
 def one_by_one(fit: Fit) -> tuple[Floats, Floats]:
-    """Return what each dive says by itself near the common answer, and its formal sds, shapes (n, 8)."""
+    """Return what each dive says by itself near the common answer, and its formal sds, (n, 8)."""
     own, own_sd = [], []
     for i, near in enumerate(fit.dives):
-        alone = Fit(replace(fit.unknowns, dives=1), fit.of_dive(i)[[*SHARED, DELAY]], (near,))
-        own.append(alone.unknowns.of_dive(alone.values + alone.step, 0))
-        own_sd.append(alone.unknowns.of_dive(np.sqrt(np.diag(alone.cov)), 0))
+        alone = Fit(replace(fit.unknowns, dives=1), fit.change(i)[[*SHARED_ROWS, DELAY]], (near,))
+        own.append((alone.values + alone.step)[alone.unknowns.rows(0)])
+        own_sd.append(np.sqrt(np.diag(alone.cov))[alone.unknowns.rows(0)])
     return np.array(own), np.array(own_sd)
 
 
+def own_delays(fit: Fit) -> tuple[Floats, Floats]:
+    """Return the delay of each dive and its formal sd, s, (n,)."""
+    rows = [int(fit.unknowns.rows(i)[DELAY]) for i in range(fit.unknowns.dives)]
+    return fit.values[rows], np.sqrt(np.diag(fit.cov))[rows]
+
+
 def autocorrelation(near: Linearised) -> Floats:
-    """Return the correlation of neighbouring residuals of each axis, far ones weighed down, shape (3,)."""
+    """Return the correlation of neighbouring residuals of each axis, far ones weighed down, (3,)."""
     soft = near.scaled * near.weights
     centred = soft - soft.mean(axis=0)
     return np.asarray(np.sum(centred[1:] * centred[:-1], axis=0) / np.sum(centred**2, axis=0))
 
 
-def own_delays(fit: Fit) -> tuple[Floats, Floats]:
-    """Return the delay of each dive and its formal sd, s, shapes (n,)."""
-    rows = [int(fit.unknowns.rows(i)[DELAY]) for i in range(fit.unknowns.dives)]
-    return fit.values[rows], np.sqrt(np.diag(fit.cov))[rows]
+# --- What a fit owes to the motion of the vehicle, and what to the noise of its IMU.
+#
+# A delay or an arm that is tried lets noise of accelerometers and gyros into the innovations, of a vehicle that lies
+# still, too. Derivatives made of it look like knowledge: the delay comes to rest where innovations happen to be
+# smallest, the arm near zero, and the more surely the noisier the IMU is. How much of a derivative is noise is what it
+# changes by beside as much noise once more ("simulation extrapolation"). Where that is not little, what is found is
+# where innovations do not go with the derivative of the same dive with an averaged IMU ("instrumental variables").
+# Sources: Cook & Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994; Fuller,
+# "Measurement error models", 1987.
+
+MOTION_S: Final = 0.5
+"""Most of what moves a vehicle is slower than this; white noise mostly faster."""
+LITTLE: Final = 0.01
+"""Share of the derivative's squares up to which it is taken as it is; it draws what is found to zero by as much."""
+MOSTLY: Final = 0.5
+"""Share beyond which the derivative is the noise's."""
+HIDDEN: Final = 2.0
+"""Times what gyros scatter by from sample to sample, as much may be noise; what is fitted also stands for what rates do
+between samples."""
+SEED: Final = 1
+
+
+def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
+    """Return the share of the squares of the derivatives that is noise of the IMU, dive by dive, (n, 8).
+
+    A dive that lies still tells nothing, whatever the others do.
+    """
+    shares = np.zeros((len(dives), OWN))
+    for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
+        imu, noise, rng = dive.dive.imu, dive.filter.inertial_noise, np.random.default_rng(SEED)
+        # The noise is that of all dives together: one that is noisier shows it by how its innovations scatter.
+        times = max(1.0, float(np.sqrt(np.mean(near.scatter**2))))
+        root_s, shape = np.sqrt(imu.usual_step_s), imu.specific_force_b.shape
+        shown = HIDDEN * readings_scatter(imu.angular_rate_b, imu.usual_step_s)
+        accel_mps2 = times * noise.accel_white_mps_rts / root_s
+        gyro_radps = min(times * noise.gyro_white_rad_rts, shown) / root_s
+        force_b = imu.specific_force_b + accel_mps2 * rng.standard_normal(shape)
+        noisier = _with_imu(dive, force_b, imu.angular_rate_b + gyro_radps * rng.standard_normal(shape))
+        added = noisier.jacobian(found.change(i), found.unknowns.free) / near.scatter[:, None] - near.jacobian
+        own, whole = (np.einsum("ka,kai->i", near.weights, part**2) for part in (added, near.jacobian))
+        shares[i] = own / np.maximum(whole, np.finfo(float).tiny)
+    return shares
+
+
+def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares: Floats) -> Fit:
+    """Go from where innovations are smallest to where they do not go with the vehicle's motion."""
+    near_by_motion = []
+    for i, (dive, near) in enumerate(zip(dives, smallest.dives, strict=True)):
+        imu, noisy = dive.dive.imu, noise_shares[i] > LITTLE
+        slow = (averaged(readings, imu.usual_step_s) for readings in (imu.specific_force_b, imu.angular_rate_b))
+        jacobian = _with_imu(dive, *slow).jacobian(smallest.change(i), smallest.unknowns.free & noisy)
+        by_motion = np.where(noisy, jacobian / near.scatter[:, None], near.jacobian)
+        near_by_motion.append(replace(near, by_motion=by_motion * (noise_shares[i] <= MOSTLY)))
+    here = replace(smallest, dives=tuple(near_by_motion))
+    values = here.values + here.step
+    values[OWN - 1 :] = np.clip(values[OWN - 1 :], -LATEST_S, LATEST_S)
+    moved = (dive.residuals(values[smallest.unknowns.rows(i)]) for i, dive in enumerate(dives))
+    there = (replace(near, residuals=residuals) for near, residuals in zip(here.dives, moved, strict=True))
+    return replace(here, values=values, dives=tuple(there))
+
+
+def _with_imu(dive: DiveInnovations, force_b: Floats, rate_b: Floats) -> DiveInnovations:
+    return replace(dive, dive=replace(dive.dive, imu=ImuColumns(dive.dive.imu.time_ns, force_b, rate_b)))
+
+
+def averaged(readings: Floats, step_s: float) -> Floats:
+    """Average readings over `MOTION_S` around each, (k, 3); slower ones stand for themselves."""
+    half = int(0.5 * MOTION_S / step_s)
+    padded = np.pad(readings, ((half, half), (0, 0)), mode="edge")
+    share = np.full(2 * half + 1, 1.0 / (2 * half + 1))
+    return np.column_stack([np.convolve(axis, share, mode="valid") for axis in padded.T])
+
+
+# --- Errors of beams and of the IMU that innovations do not tell from the geometry of the DVL.
+#
+# A beam that reads a little long turns and stretches the velocity, and so does an IMU whose axes are not at right
+# angles. These errors are not corrected. Their effect on the answer counts in its standard deviations. Of the IMU's
+# errors it is the effect of what the innovations show, and of what they leave open: it is found as if they were
+# estimated with the geometry. Source: Schmidt, "Application of state-space methods to navigation problems", 1966
+# ("consider" parameters).
+
+OFFSET_SD_MPS: Final = 0.001
+"""Of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more."""
+STRETCH_SD: Final = 0.002
+"""Of a beam's scale."""
+IMU_SCALE_SD: Final = 1.5e-3
+"""Tactical sensors have 300 to 500 ppm by their data sheets (Sensonor STIM300), smaller ones 0.1 to 0.5 %."""
+IMU_MISALIGNMENT_SD: Final = 1e-3
+"""rad, of each axis of a triad towards each other one, by the same data sheet."""
+STEP: Final = 3.0
+"""Of differences, in these standard deviations."""
+BEAM_ERRORS: Final = 2 * len(beam_vectors())
+
+
+def effects_of_errors(fit: Fit, dives: Sequence[DiveInnovations]) -> list[Floats]:
+    """Return the change of the residuals with each error of one sd, over their scatter, (k, 3, 26) of each dive.
+
+    First the offsets and the scales of the usual four beams at 30 deg, then the IMU.
+    """
+    found = []
+    for i, (dive, near) in enumerate(zip(dives, fit.dives, strict=True)):
+        shaken = parallel_map(partial(DiveInnovations.residuals, change=fit.change(i)), _with_errors(dive))
+        effects = [(residuals - near.residuals) / (STEP * near.scatter) for residuals in shaken]
+        found.append(np.stack(effects, axis=-1))
+    return found
+
+
+def _with_errors(dive: DiveInnovations) -> Iterator[DiveInnovations]:
+    """Return the dive with one error after the other, each of `STEP` standard deviations."""
+    mat_bd, beams, velocities = dive.prepared.mounting.mat_bd, beam_vectors(), dive.prepared.velocities
+    seen_mps = velocities.velocity_b @ mat_bd @ beams.T
+    per_beam_b = mat_bd @ np.linalg.pinv(beams)
+    for errors_mps in (np.full_like(seen_mps, OFFSET_SD_MPS), STRETCH_SD * seen_mps):
+        for beam in range(len(beams)):
+            moved_b = velocities.velocity_b + STEP * np.outer(errors_mps[:, beam], per_beam_b[:, beam])
+            yield replace(dive, prepared=replace(dive.prepared, velocities=replace(velocities, velocity_b=moved_b)))
+    # Each axis of the accelerometers reads a part of each axis, then each of the gyros.
+    imu = dive.dive.imu
+    for name in ("specific_force_b", "angular_rate_b"):
+        for row, column in np.ndindex(3, 3):
+            sd = IMU_SCALE_SD if row == column else IMU_MISALIGNMENT_SD
+            readings = getattr(imu, name).copy()
+            readings[:, row] += STEP * sd * getattr(imu, name)[:, column]
+            yield replace(dive, dive=replace(dive.dive, imu=replace(imu, **{name: readings})))
+
+
+def beside_imu_errors(fit: Fit, effects: Sequence[Floats]) -> Fit:
+    """Return the fit with derivatives that are left when the errors of the IMU are estimated beside the geometry.
+
+    Its step leads to the answer that such an estimate would give: it is not taken, since innovations that are
+    correlated for another reason look like these errors, and counts in the standard deviations.
+    """
+    left = []
+    for near, moved in zip(fit.dives, effects, strict=True):
+        imu = moved[:, :, BEAM_ERRORS:]
+        weighted = near.weights[:, :, None] * imu
+        information = np.einsum("kai,kaj->ij", weighted, imu) + np.eye(imu.shape[2])
+        alike = np.linalg.solve(information, np.einsum("kai,kaj->ij", weighted, near.by_motion))
+        left.append(replace(near, by_motion=near.by_motion - imu @ alike))
+    return replace(fit, dives=tuple(left))
+
+
+def pulled(fit: Fit, effects: Sequence[Floats]) -> Floats:
+    """Return how far each error of one sd, the same in all dives, pulls the answer, (count, 26)."""
+    pull = np.zeros((len(fit.values), effects[0].shape[2]))
+    for i, (near, moved) in enumerate(zip(fit.dives, effects, strict=True)):
+        pull[fit.unknowns.rows(i)] -= np.einsum("ka,kai,kaj->ij", near.weights**3, near.by_motion, moved)
+    pull[~fit.unknowns.is_free] = 0.0
+    return np.asarray(fit.moved_by_scores @ pull)
+
+
+def nis_by_errors(fit: Fit, effects: Sequence[Floats]) -> float:
+    """Return how much of the sum of the NIS of all dives the errors explain that the innovations show."""
+    total = 0.0
+    for near, moved in zip(fit.dives, effects, strict=True):
+        weighted = near.weights[:, :, None] * moved
+        cov = np.linalg.inv(np.einsum("kai,kaj->ij", weighted, moved) + np.eye(moved.shape[2]))
+        likeliest = cov @ np.einsum("kai,ka->i", weighted, near.scaled)
+        power = (moved @ likeliest) ** 2 + np.einsum("kai,ij,kaj->ka", moved, cov, moved)
+        total += float(np.sum(power * near.scatter**2))
+    return total

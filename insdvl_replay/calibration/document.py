@@ -1,9 +1,9 @@
 """A calibration for people."""
 
 from collections.abc import Iterator, Sequence
-from typing import Final
 
 from insdvl_replay.calibration.calibration import AXES, Calibration
+from insdvl_replay.calibration.parameters import LABELS
 from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.report.document import (
@@ -19,14 +19,6 @@ from insdvl_replay.report.document import (
     table_of,
 )
 from insdvl_replay.report.plots.panel import Figure
-
-LABELS: Final = {
-    "delay": "delay",
-    **{f"{group}_{axis}": f"{group} {axis}" for group in ("mounting", "arm") for axis in "xyz"},
-    "scale": "scale",
-    "reference_clock": "ref. clock",
-    **{f"reference_{group}_{axis}": f"ref. {group} {axis}" for group in ("mounting", "arm") for axis in "xyz"},
-}
 
 
 def calibration_document(found: Calibration, written: str = "", figures: Sequence[Figure] = ()) -> list[Part]:

@@ -7,10 +7,9 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import AXES, Calibration
 from insdvl_replay.calibration.certainty import mean_change, one_by_one
-from insdvl_replay.calibration.document import LABELS
 from insdvl_replay.calibration.fit import delay_profile
 from insdvl_replay.calibration.innovations import LATEST_S, SKIPPED, DiveInnovations
-from insdvl_replay.calibration.parameters import DELAY, NAMES, PARAMETERS
+from insdvl_replay.calibration.parameters import DELAY, LABELS, NAMES, PARAMETERS
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.report.document import counted

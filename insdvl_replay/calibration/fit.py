@@ -8,15 +8,22 @@ dive's, since clocks are set anew. Sources: Levenberg, 1944, and Marquardt, 1963
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from itertools import permutations, product
+from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
-from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, DiveInnovations, Mask, ReadDive
+from insdvl_replay.calibration.parameters import DELAY, NAMES, PARAMETERS, PRIOR_SD
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import DvlColumns, Floats
 from insdvl_replay.core.runtime import parallel_map, track_progress
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.frames import look_down
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.preparation.start_heading import FIT
 
 SOFT: Final = 2.0
 """Residuals, in what the axis scatters by, beyond which they count less and less."""
@@ -29,90 +36,92 @@ SETTLED: Final = 0.05
 STEEPER, FLATTER = 10.0, 0.1
 LARGEST_DAMPING: Final = 1e6
 OWN: Final = len(NAMES)
-SHARED: Final = np.array([i for i in range(OWN) if i != DELAY])
-
-Mask = NDArray[np.bool_]
+SHARED_ROWS: Final = np.array([i for i in range(OWN) if i != DELAY])
 
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Where the parameters of each dive stand among all: those of the vehicle first, then the delays."""
+    """The numbers that are estimated: the seven of the vehicle, then the delays of the dives, or one for all."""
 
     dives: int
     one_delay: bool  # whether all dives share one, as those of one driver may
-    free: Mask  # shape (8,): what is estimated at all
+    free: Mask  # (8,): what is estimated at all
 
     @property
-    def count(self) -> int:
-        """How many numbers there are."""
-        return OWN - 1 + (1 if self.one_delay else self.dives)
+    def parameters(self) -> NDArray[np.int64]:
+        """Which of the eight parameters each number is, (count,)."""
+        return np.concatenate([SHARED_ROWS, np.full(1 if self.one_delay else self.dives, DELAY)])
 
     def rows(self, dive: int) -> NDArray[np.int64]:
-        """Where the eight parameters of a dive stand, shape (8,)."""
+        """Places of a dive's eight parameters among the numbers, (8,)."""
         rows = np.empty(OWN, dtype=np.int64)
-        rows[SHARED] = np.arange(OWN - 1)
+        rows[SHARED_ROWS] = np.arange(OWN - 1)
         rows[DELAY] = OWN - 1 + (0 if self.one_delay else dive)
         return rows
 
-    def of_dive(self, values: Floats, dive: int) -> Floats:
-        """Return the change of one dive, shape (8,)."""
-        return values[self.rows(dive)]
-
-    def of_parameters(self, eight: NDArray[Any]) -> NDArray[Any]:
-        """Give each number what its parameter has, shape (count,)."""
-        return np.concatenate([eight[SHARED], np.full(self.count - OWN + 1, eight[DELAY])])
-
     @property
     def prior_sd(self) -> Floats:
-        """Of all numbers, shape (count,)."""
-        return self.of_parameters(PRIOR_SD)
+        """How far each number may be off, (count,)."""
+        return PRIOR_SD[self.parameters]
 
     @property
     def is_free(self) -> Mask:
-        """Of all numbers, shape (count,)."""
-        return self.of_parameters(self.free)
+        """Whether each number is estimated, (count,)."""
+        return self.free[self.parameters]
+
+    def total(self, matrices: Sequence[Floats]) -> Floats:
+        """Add a matrix (8, 8) of each dive to the information of the prior, (count, count)."""
+        return total_information(self.prior_sd, [self.rows(i) for i in range(len(matrices))], matrices)
+
+
+def total_information(prior_sd: Floats, rows: Sequence[NDArray[np.int64]], matrices: Sequence[Floats]) -> Floats:
+    """Add the matrix of each dive, at its rows, to the information of the prior, (n, n)."""
+    total = np.diag(prior_sd**-2.0)
+    for places, matrix in zip(rows, matrices, strict=True):
+        total[np.ix_(places, places)] += matrix
+    return total
 
 
 @dataclass(frozen=True)
 class Linearised:
     """The residuals of one dive near an answer."""
 
-    residuals: Floats  # shape (k, 3), in their own standard deviations
-    scatter: Floats  # shape (3,): of each axis, in the same; 1 where the filter knows its noise
-    jacobian: Floats  # shape (k, 3, 8), of the residuals over the scatter
-    by_motion: Floats  # likewise: all of it, or what residuals may not go with, see `motion` and `considered`
+    residuals: Floats  # (k, 3), in their own standard deviations
+    scatter: Floats  # (3,): of each axis, in the same; 1 where the filter knows its noise
+    jacobian: Floats  # (k, 3, 8), of the residuals over the scatter
+    by_motion: Floats  # likewise: all of it, or the part that the vehicle's motion makes, see `certainty`
 
     @property
     def scaled(self) -> Floats:
-        """Residuals over the scatter, shape (k, 3)."""
+        """Residuals over the scatter, (k, 3)."""
         return self.residuals / self.scatter
 
     @property
     def weights(self) -> Floats:
-        """How much each counts, shape (k, 3)."""
+        """How much each residual counts, (k, 3)."""
         return weights_of(self.scaled)
 
     @property
     def information(self) -> Floats:
-        """The scores' covariance, shape (8, 8), where residuals are white."""
+        """The scores' covariance, (8, 8), where residuals are white."""
         return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.by_motion, self.by_motion))
 
     @property
     def slope(self) -> Floats:
-        """How fast the scores' sum falls with the parameters, weights held, shape (8, 8)."""
+        """How fast the scores' sum falls with the parameters, weights held, (8, 8)."""
         return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.by_motion, self.jacobian))
 
     @property
     def curvature(self) -> Floats:
-        """The same with weights that follow, shape (8, 8).
+        """The slope with weights that follow, (8, 8).
 
-        Less than the slope: a residual that is weighed down is weighed down more when it grows.
+        It is smaller: a residual that is weighed down is weighed down more when it grows.
         """
         return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights**3, self.by_motion, self.jacobian))
 
     @property
     def scores(self) -> Floats:
-        """What each ping says, shape (k, 8); of all of the derivative minus half the gradient of the cost."""
+        """What each ping says, (k, 8): minus half the gradient of the cost."""
         return -np.asarray(np.einsum("ka,ka,kai->ki", self.weights, self.scaled, self.by_motion))
 
 
@@ -121,37 +130,39 @@ class Fit:
     """An answer, and the dives linearised there."""
 
     unknowns: Unknowns
-    values: Floats  # shape (count,): changes, in the order of `Unknowns`
+    values: Floats  # (count,): changes, in the order of `Unknowns`
     dives: tuple[Linearised, ...]
 
-    def of_dive(self, dive: int) -> Floats:
-        """Return the change of one dive, shape (8,)."""
-        return self.unknowns.of_dive(self.values, dive)
+    def change(self, dive: int) -> Floats:
+        """Return the change of one dive, (8,)."""
+        return self.values[self.unknowns.rows(dive)]
 
     @property
     def cov(self) -> Floats:
-        """Formal covariance, shape (count, count); what is held has the prior alone."""
-        slope = _total(self.unknowns, [near.slope for near in self.dives])
-        return formal_cov(slope, _total(self.unknowns, [near.information for near in self.dives]))
+        """Formal covariance, (count, count); what is held has the prior alone."""
+        inverse = np.linalg.inv(self.unknowns.total([near.slope for near in self.dives]))
+        information = self.unknowns.total([near.information for near in self.dives])
+        return np.asarray(inverse @ information @ inverse.T, dtype=np.float64)
+
+    @property
+    def gradient(self) -> Floats:
+        """Minus half the gradient of the cost, (count,)."""
+        gradient = -self.values / self.unknowns.prior_sd**2
+        for i, near in enumerate(self.dives):
+            gradient[self.unknowns.rows(i)] += near.scores.sum(axis=0)
+        return gradient
 
     @property
     def step(self) -> Floats:
-        """How far it is from here to where the scores' sum is zero, shape (count,); what is held stays."""
-        slope = _total(self.unknowns, [near.slope for near in self.dives])
-        step = np.linalg.solve(slope, _gradient(self.unknowns, self.dives, self.values))
-        return np.where(self.unknowns.is_free, step, 0.0)
+        """How far it is from here to where the scores' sum is zero, (count,); what is held stays."""
+        slope = self.unknowns.total([near.slope for near in self.dives])
+        return np.where(self.unknowns.is_free, np.linalg.solve(slope, self.gradient), 0.0)
 
     @property
     def moved_by_scores(self) -> Floats:
-        """How far the answer moves with what the pings say, shape (count, count): the inverse curvature."""
-        curvature = _total(self.unknowns, [near.curvature for near in self.dives])
+        """How far the answer moves with what the pings say, (count, count): the inverse curvature."""
+        curvature = self.unknowns.total([near.curvature for near in self.dives])
         return np.asarray(np.linalg.inv(curvature), dtype=np.float64)
-
-
-def formal_cov(slope: Floats, information: Floats) -> Floats:
-    """Return the covariance of an answer whose scores have the covariance of the information."""
-    inverse = np.linalg.inv(slope)
-    return np.asarray(inverse @ information @ inverse.T, dtype=np.float64)
 
 
 def weights_of(scaled: Floats) -> Floats:
@@ -165,14 +176,14 @@ def robust_cost(scaled: Floats) -> float:
 
 
 def scatter_of(residuals: Floats) -> Floats:
-    """Return what each axis scatters by, shape (3,), by the median, which a few far pings do not move."""
+    """Return what each axis scatters by, (3,), by the median, which a few far pings do not move."""
     scatter = SD_OF_DEVIATION * np.median(np.abs(residuals), axis=0)
     return np.maximum(scatter, np.finfo(float).tiny)
 
 
 def fit(
     dives: Sequence[DiveInnovations],
-    free: Mask,
+    free: Mask,  # (8,)
     *,
     one_delay: bool = False,
     start: Floats | None = None,
@@ -180,95 +191,149 @@ def fit(
 ) -> Fit:
     """Find the changes under which the innovations of all dives are smallest."""
     unknowns = Unknowns(len(dives), one_delay, free)
-    values = _with_delays(unknowns, dives) if start is None else np.where(unknowns.is_free, start, 0.0)
-    damping = 1e-3
-    linearised = _linearised(unknowns, dives, values)
+    delays = slice(OWN - 1, None)
+    # Begin at the delay of a coarse grid, so that the fit cannot stay in a side valley.
+    values = np.zeros(len(unknowns.parameters)) if start is None else np.where(unknowns.is_free, start, 0.0)
+    if start is None and free[DELAY]:
+        grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
+        costs = np.array(
+            [delay_profile(dive, NO_CHANGE, grid) for dive in track_progress("looking for the delay", dives)]
+        )
+        values[delays] = grid[np.argmin(costs.sum(axis=0, keepdims=True) if one_delay else costs, axis=1)]
+
+    def residuals_at(values: Floats) -> list[Floats]:
+        return [dive.residuals(values[unknowns.rows(i)]) for i, dive in enumerate(dives)]
+
+    def linearised(values: Floats, residuals: Sequence[Floats]) -> Fit:
+        near = []
+        for i, dive in enumerate(dives):
+            scatter = scatter_of(residuals[i])
+            jacobian = dive.jacobian(values[unknowns.rows(i)], free) / scatter[:, None]
+            near.append(Linearised(residuals[i], scatter, jacobian, jacobian))
+        return Fit(unknowns, values, tuple(near))
+
+    def cost(values: Floats, scaled: Sequence[Floats]) -> float:
+        return float(sum(map(robust_cost, scaled)) + np.sum((values / unknowns.prior_sd) ** 2))
+
+    damping, found = 1e-3, linearised(values, residuals_at(values))
     for _ in track_progress("fitting the innovations", range(MOST_ROUNDS)):
-        information = _total(unknowns, [near.information for near in linearised])
-        gradient = _gradient(unknowns, linearised, values)
-        before = _cost(unknowns, values, [near.scaled for near in linearised])
+        information = unknowns.total([near.information for near in found.dives])
+        gradient, before = found.gradient, cost(found.values, [near.scaled for near in found.dives])
         while damping < LARGEST_DAMPING:
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
             step[~unknowns.is_free] = 0.0
-            late = values[OWN - 1 :] + step[OWN - 1 :]
-            step[OWN - 1 :] += np.clip(late, -LATEST_S, LATEST_S) - late
-            residuals = [dive.residuals(unknowns.of_dive(values + step, i)) for i, dive in enumerate(dives)]
-            scaled = [of_dive / near.scatter for of_dive, near in zip(residuals, linearised, strict=True)]
-            if _cost(unknowns, values + step, scaled) <= before:
+            late = found.values[delays] + step[delays]
+            step[delays] += np.clip(late, -LATEST_S, LATEST_S) - late
+            residuals = residuals_at(found.values + step)
+            # Over what each axis scattered by before: else a worse answer could look better.
+            scaled = [left / near.scatter for left, near in zip(residuals, found.dives, strict=True)]
+            if cost(found.values + step, scaled) <= before:
                 break
             damping *= STEEPER
         else:
-            break
-        values, damping = values + step, damping * FLATTER
-        sds = np.sqrt(np.diag(np.linalg.inv(information)))
+            return found
+        damping *= FLATTER
+        values, sds = found.values + step, np.sqrt(np.diag(np.linalg.inv(information)))
         if np.max(np.abs(step) / sds) < settled:
             # So near, derivatives are the same.
-            return Fit(unknowns, values, tuple(map(_with_residuals, linearised, residuals)))
-        linearised = _linearised(unknowns, dives, values, residuals)
-    return Fit(unknowns, values, linearised)
-
-
-def _with_residuals(near: Linearised, residuals: Floats) -> Linearised:
-    scatter = scatter_of(residuals)
-    jacobian = near.jacobian * (near.scatter / scatter)[:, None]
-    return Linearised(residuals, scatter, jacobian, jacobian)
-
-
-def _with_delays(unknowns: Unknowns, dives: Sequence[DiveInnovations]) -> Floats:
-    """Begin at the delay of a coarse grid, so that the fit cannot stay in a side valley."""
-    values = np.zeros(unknowns.count)
-    if not unknowns.free[DELAY]:
-        return values
-    grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
-    costs = np.array(
-        [delay_profile(dive, np.zeros(OWN), grid) for dive in track_progress("looking for the delay", dives)]
-    )
-    if unknowns.one_delay:
-        costs = costs.sum(axis=0, keepdims=True)
-    values[OWN - 1 :] = grid[np.argmin(costs, axis=1)]
-    return values
+            scatters = [scatter_of(left) for left in residuals]
+            pairs = zip(found.dives, scatters, strict=True)
+            jacobians = [near.jacobian * (near.scatter / scatter)[:, None] for near, scatter in pairs]
+            return Fit(unknowns, values, tuple(map(Linearised, residuals, scatters, jacobians, jacobians)))
+        found = linearised(values, residuals)
+    return found
 
 
 def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Floats:
-    """Return the robust cost of one dive over its delay, all else fixed, shape as the delays.
+    """Return the robust cost of one dive over its delay, all else fixed, (n,) as the delays.
 
     Each axis is weighed by what it scatters by where that is least, so that no axis hides the others.
     """
-    at = [change + (delay_s - change[DELAY]) * (np.arange(OWN) == DELAY) for delay_s in delays_s]
-    residuals = list(parallel_map(dive.residuals, at))
-    scatter = np.min([scatter_of(of_one) for of_one in residuals], axis=0)
-    return np.array([robust_cost(of_one / scatter) for of_one in residuals])
+    tried = [np.where(np.arange(OWN) == DELAY, delay_s, change) for delay_s in delays_s]
+    residuals = list(parallel_map(dive.residuals, tried))
+    scatter = np.min([scatter_of(left) for left in residuals], axis=0)
+    return np.array([robust_cost(left / scatter) for left in residuals])
 
 
-def _linearised(
-    unknowns: Unknowns, dives: Sequence[DiveInnovations], values: Floats, known: Sequence[Floats] | None = None
-) -> tuple[Linearised, ...]:
-    found = []
-    for i, dive in enumerate(dives):
-        change = unknowns.of_dive(values, i)
-        residuals = dive.residuals(change) if known is None else known[i]
-        scatter = scatter_of(residuals)
-        jacobian = dive.jacobian(change, unknowns.free) / scatter[:, None]
-        found.append(Linearised(residuals, scatter, jacobian, jacobian))
-    return tuple(found)
+# --- How the DVL's axes lie along those of the body, where nobody knows it.
+
+AXES: Final[tuple[Floats, ...]] = tuple(
+    turn
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    for turn in [np.diag(signs)[:, order]]
+    if np.linalg.det(turn) > 0.0
+)
+"""The 24 ways in which right-handed axes can lie along others."""
+CLEARLY: Final = 0.8
+"""Share of what one mounting leaves of the innovations, below which another one is the likelier."""
+NOT_FAR_OFF: Final = 4.0
+"""Times the least that a mounting leaves, beyond which no arm or delay makes it the best."""
+MOST_FITTED: Final = 6
+_ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])
 
 
-def _cost(unknowns: Unknowns, values: Floats, scaled: Sequence[Floats]) -> float:
-    """Return the cost of some values with residuals over what each axis scattered by before."""
-    return float(sum(map(robust_cost, scaled)) + np.sum((values / unknowns.prior_sd) ** 2))
+@dataclass(frozen=True)
+class TriedMounting:
+    """One way in which the DVL's axes could lie along the body's, and the robust sum of squares that it leaves."""
+
+    rpy_deg: tuple[float, float, float]
+    cost: float  # of several likely ones with the arm and the delay that fit each best
 
 
-def _total(unknowns: Unknowns, of_dives: Sequence[Floats]) -> Floats:
-    """Add what each dive says, shapes (8, 8), to what the prior says, shape (count, count)."""
-    total = np.diag(unknowns.prior_sd**-2.0)
-    for i, of_dive in enumerate(of_dives):
-        rows = unknowns.rows(i)
-        total[np.ix_(rows, rows)] += of_dive
-    return total
+def possible_axes(dvl: DvlColumns) -> tuple[Floats, ...]:
+    """Leave out the ways with which the beams would not look down, where the messages tell where they look."""
+    if dvl.look_d is None:
+        return AXES
+    return tuple(turn for turn in AXES if look_down(turn @ dvl.look_d)) or AXES
 
 
-def _gradient(unknowns: Unknowns, linearised: Sequence[Linearised], values: Floats) -> Floats:
-    gradient = -values / unknowns.prior_sd**2
-    for i, near in enumerate(linearised):
-        gradient[unknowns.rows(i)] += near.scores.sum(axis=0)
-    return gradient
+def with_mounting(config: Config, rpy_deg: tuple[float, float, float]) -> Config:
+    """Set the mounting in a configuration."""
+    return msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, mounting_rpy_deg=rpy_deg))
+
+
+def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
+    """Try the ways in which the DVL's axes can lie along the body's, the likeliest first.
+
+    An arm or a delay that is not known yet can make another one look better, so that those that are not far off, and
+    what is configured, are tried with arm and delay fitted; these stand before all others.
+    """
+    config = dives[0].config
+    configured = config.dvl.mounting_rpy_deg
+    if config.initial.heading_deg == FIT:
+        # Innovations of velocities hardly depend on the heading, and with a wrong mounting none fits.
+        config = msgspec.structs.replace(config, initial=msgspec.structs.replace(config.initial, heading_deg=0.0))
+
+    def tried(rpy_deg: tuple[float, float, float], *, fitted: bool) -> TriedMounting:
+        asked = [dive.with_config(with_mounting(config, rpy_deg)).innovations() for dive in dives]
+        changes = [NO_CHANGE] * len(asked)
+        if fitted:
+            found = fit(asked, _ARM_AND_DELAY)
+            changes = [found.change(i) for i in range(len(asked))]
+        left = (dive.residuals(change) for dive, change in zip(asked, changes, strict=True))
+        return TriedMounting(rpy_deg, sum(map(robust_cost, left)))
+
+    first = []
+    for turn in track_progress("trying mountings", possible_axes(dives[0].dive.dvl)):
+        roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()  # no -0.0, which people would read
+        first.append(tried((roll, pitch, heading), fitted=False))
+    first.sort(key=lambda mounting: mounting.cost)
+    near = [mounting for mounting in first if mounting.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
+    near += [mounting for mounting in first if mounting.rpy_deg == configured and mounting not in near]
+    stage = "trying mountings with arm and delay"
+    fitted = [tried(mounting.rpy_deg, fitted=True) for mounting in track_progress(stage, near)]
+    others = [mounting for mounting in first if mounting not in near]
+    return sorted(fitted, key=lambda mounting: mounting.cost) + others
+
+
+def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:
+    """Return the best of the ways in which the DVL's axes can lie along the body's, as roll, pitch, heading, deg.
+
+    Of several that leave about as much it is one with which the DVL's z looks down, as makers have it: a dive without
+    roll and pitch does not tell it from the other side up.
+    """
+    tried = tried_mountings(dives)
+    alike = [mounting for mounting in tried if mounting.cost * CLEARLY <= tried[0].cost]
+    downwards = (mounting for mounting in alike if mat_from_rpy(np.array(mounting.rpy_deg) * DEG)[2, 2] > 0.5)
+    return next(downwards, tried[0]).rpy_deg

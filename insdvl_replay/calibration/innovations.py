@@ -1,27 +1,31 @@
-"""The innovations of one dive's velocities, as they would be if the DVL were built in otherwise.
+"""Dives that are read, and the innovations of their velocities, as they would be if the DVL were built in otherwise.
 
 One filter run for each question; its gate is open, since a gate that follows the answer would make the cost jump.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Final
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.calibration.parameters import DELAY, NAMES, SCALE, STEPS, moved_mounting, moved_pings
-from insdvl_replay.core.dive_columns import Dive, Floats, nanoseconds
+from insdvl_replay.calibration.parameters import DELAY, NAMES, SCALE, STEPS, Geometry, moved_mounting, moved_pings
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DV
-from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
-from insdvl_replay.preparation.prepared import Prepared
+from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
+from insdvl_replay.preparation.reading import read_checked_dive
 from insdvl_replay.preparation.running import run_one
+from insdvl_replay.preparation.start_heading import prepare_with_heading
 
 LATEST_S: Final = 0.4
 """Delays are looked for up to here, either way."""
@@ -39,28 +43,83 @@ LEAST_OFF_MPS: Final = 0.01
 """As much is usual even on a dive on which nothing moves."""
 FAR: Final = 1e3
 """Stands for an innovation that is larger, or not finite, in its own standard deviations."""
+NO_CHANGE: Final = np.zeros(len(NAMES))
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class ReadDive:
+    """A dive with its configuration, from which it can be prepared for any geometry."""
+
+    dive: Dive
+    config: Config
+    as_read: ReferenceColumns | None = None  # its reference, before it was moved to the IMU
+
+    def prepared(self, geometry: Geometry | None = None) -> Prepared:
+        """Prepare it, with another mounting, arm and scale than configured; its pings keep their times."""
+        return prepare_with_heading(self.dive, with_dvl(self.config, geometry) if geometry else self.config)
+
+    def with_config(self, config: Config) -> "ReadDive":
+        """Take other settings for the same readings."""
+        return replace(self, config=config)
+
+    def innovations(self) -> "DiveInnovations":
+        """Prepare it for a fit, with pings that stay inside the span however late they are.
+
+        Raises
+        ------
+        LogError
+            It has too few pings.
+        """
+        prepared = self.prepared()
+        baseline = replace(prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0)
+        # A change of the delay by a step beyond the latest one has to find its pings inside, too.
+        room_ns = nanoseconds(LATEST_S + 2.0 * float(STEPS[DELAY]))
+        alignment = prepared.alignment
+        start_ns = alignment.start_ns
+        end_ns = min(prepared.end_ns, start_ns + nanoseconds(READ_S))
+        inside = prepared.velocities.within(start_ns + room_ns, end_ns - room_ns)
+        velocities = inside.where(steady(inside.velocity_b))
+        if (count := len(velocities.time_ns) - 2 * SKIPPED) < FEWEST:
+            raise LogError(
+                f"{self.dive.name}: {max(count, 0)} pings are too few to calibrate by, {FEWEST} are needed",
+                "leave the dive out, or widen span.start_s and span.end_s",
+            )
+        # The velocity at the start would tell how the DVL is turned by no more than the DVL itself does.
+        cov = alignment.start.cov.copy()
+        cov[DV, DV] += START_SPEED_SD_MPS**2 * np.eye(3)
+        ready = replace(
+            prepared,
+            velocities=velocities,
+            alignment=replace(alignment, start=replace(alignment.start, cov=cov)),
+            end_ns=end_ns,
+            gaps=prepared.gaps.within(start_ns, end_ns),
+        )
+        wild = len(inside.time_ns) - len(velocities.time_ns)
+        return DiveInnovations(replace(self.dive, reference=None), ready, baseline, wild)
+
+
+def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> ReadDive:
+    """Read a dive and check it, as `reading.read_checked_dive` does."""
+    dive = read_checked_dive(path, config.without_solutions(), allow_damaged=allow_damaged)
+    return ReadDive(with_reference_at_imu(dive, config), config, dive.reference)
+
+
+def with_dvl(config: Config, geometry: Geometry) -> Config:
+    """Set how the DVL is built in."""
+    dvl = msgspec.structs.replace(config.dvl, **msgspec.structs.asdict(geometry))
+    return msgspec.structs.replace(config, dvl=dvl)
 
 
 @dataclass(frozen=True)
 class DiveInnovations:
-    """What has to be known of a dive to ask for its innovations.
+    """A prepared dive whose innovations can be computed for any geometry."""
 
-    Attributes
-    ----------
-    dive : Dive
-        Its IMU.
-    prepared : Prepared
-        With those pings that stay inside the span however late they are.
-    filter : ResolvedFilter
-        The baseline, aided by velocities alone.
-    left_out : int
-        Pings that no vehicle could have followed.
-    """
-
-    dive: Dive
+    dive: Dive  # its IMU
     prepared: Prepared
-    filter: ResolvedFilter
-    left_out: int
+    filter: ResolvedFilter  # the baseline, aided by velocities alone
+    left_out: int  # pings that no vehicle could have followed
 
     @property
     def name(self) -> str:
@@ -79,17 +138,8 @@ class DiveInnovations:
         probability, reopen_after = configured.gate_probability, configured.gate_reopen_after
         return replace(self.filter, gate_probability=probability, gate_reopen_after=reopen_after)
 
-    def history(self, change: Floats) -> History:
-        """Run the filter with another geometry, shape (8,)."""
-        moved, timeline = self._moved(change)
-        return run_one(self.filter, moved, timeline)
-
-    def runner(self, change: Floats) -> Callable[[ResolvedFilter], Innovations]:
-        """Return what gives the innovations of velocities with another geometry, shape (8,), filter by filter."""
-        moved, timeline = self._moved(change)
-        return lambda tried: run_one(tried, moved, timeline).innovations[0]
-
-    def _moved(self, change: Floats) -> tuple[Prepared, Timeline]:
+    def moved(self, change: Floats) -> tuple[Prepared, Timeline]:
+        """Build the DVL in otherwise, by a change (8,)."""
         configured = self.prepared.velocities
         # With covariances that turn, a mounting is likelier that lays a noisy axis along a quiet one.
         pings = replace(
@@ -98,18 +148,20 @@ class DiveInnovations:
             full_unit_cov_b=configured.full_unit_cov_b,
         )
         moved = replace(self.prepared, velocities=pings, mounting=moved_mounting(self.prepared.mounting, change))
-        timeline = build_timeline(
-            self.dive.imu,
-            pings.time_ns,
-            np.empty(0, dtype=np.int64),
-            self.prepared.alignment.start_ns,
-            self.prepared.end_ns,
-            self.prepared.gaps,
-        )
-        return moved, timeline
+        start_ns, end_ns, gaps = self.prepared.alignment.start_ns, self.prepared.end_ns, self.prepared.gaps
+        return moved, build_timeline(self.dive.imu, pings.time_ns, np.empty(0, np.int64), start_ns, end_ns, gaps)
+
+    def history(self, change: Floats) -> History:
+        """Run the filter with a changed geometry."""
+        return run_one(self.filter, *self.moved(change))
+
+    def runner(self, change: Floats) -> Callable[[ResolvedFilter], Innovations]:
+        """Return what gives the innovations of velocities with a changed geometry, filter by filter."""
+        moved, timeline = self.moved(change)
+        return lambda tried: run_one(tried, moved, timeline).innovations[0]
 
     def residuals(self, change: Floats) -> Floats:
-        """Return the innovations in their own standard deviations, shape (count, 3).
+        """Return the innovations in their own standard deviations, (count, 3).
 
         They are taken back to the DVL's own scale: in true metres a larger scale makes all of them smaller, and the fit
         would follow.
@@ -118,77 +170,29 @@ class DiveInnovations:
         standardised = innovations.standardised[SKIPPED:-SKIPPED] * np.exp(change[SCALE])
         return np.asarray(np.clip(np.nan_to_num(standardised, nan=FAR), -FAR, FAR))
 
-    def jacobian(self, change: Floats, free: NDArray[np.bool_]) -> Floats:
-        """Differentiate the residuals by the free parameters, central differences, shape (count, 3, 8)."""
-        columns, chosen = np.zeros((self.count, 3, len(NAMES))), np.flatnonzero(free)
-        steps = [sign * STEPS[i] * np.eye(len(NAMES))[i] for i in chosen for sign in (1.0, -1.0)]
-        found = list(parallel_map(self.residuals, [change + step for step in steps]))
-        for i, after, before in zip(chosen, found[::2], found[1::2], strict=True):
-            columns[:, :, i] = (after - before) / (2.0 * STEPS[i])
-        return columns
+    def jacobian(self, change: Floats, free: Mask) -> Floats:
+        """Differentiate the residuals by the free parameters, (count, 3, 8)."""
+        return central_differences(self.residuals, change, STEPS, free, (self.count, 3))
 
 
-def dive_innovations(dive: Dive, prepared: Prepared) -> DiveInnovations:
-    """Get a dive ready to be asked.
-
-    Parameters
-    ----------
-    dive : Dive
-        As `prepared.prepare_dive` takes it.
-    prepared : Prepared
-        Of the same.
-
-    Raises
-    ------
-    LogError
-        It has too few pings.
-    """
-    baseline = replace(prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0)
-    # A change of the delay by a step beyond the latest one has to find its pings inside, too.
-    room_ns = nanoseconds(LATEST_S + 2.0 * float(STEPS[DELAY]))
-    start_ns = prepared.alignment.start_ns
-    end_ns = min(prepared.end_ns, start_ns + nanoseconds(READ_S))
-    inside = prepared.velocities.within(start_ns + room_ns, end_ns - room_ns)
-    velocities = inside.where(steady(inside.velocity_b))
-    ready = replace(
-        prepared,
-        velocities=velocities,
-        alignment=replace(prepared.alignment, start=_unsure_of_velocity(prepared.alignment.start)),
-        end_ns=end_ns,
-        gaps=prepared.gaps.within(start_ns, end_ns),
-    )
-    found = DiveInnovations(
-        replace(dive, reference=None), ready, baseline, len(inside.time_ns) - len(velocities.time_ns)
-    )
-    if found.count < FEWEST:
-        raise LogError(
-            f"{dive.name}: {max(found.count, 0)} pings are too few to calibrate by, {FEWEST} are needed",
-            "leave the dive out, or widen span.start_s and span.end_s",
-        )
-    return found
+def central_differences(
+    function: Callable[[Floats], Floats], at: Floats, steps: Floats, free: Mask, shape: tuple[int, ...]
+) -> Floats:
+    """Differentiate a function whose values have a shape by its n arguments, (*shape, n); 0 where they are held."""
+    chosen, columns = np.flatnonzero(free), np.zeros((*shape, len(at)))
+    tried = [at + sign * steps[i] * np.eye(len(at))[i] for i in chosen for sign in (1.0, -1.0)]
+    found = list(parallel_map(function, tried))
+    for i, after, before in zip(chosen, found[::2], found[1::2], strict=True):
+        columns[..., i] = (after - before) / (2.0 * steps[i])
+    return columns
 
 
-def steady(velocity_b: Floats) -> NDArray[np.bool_]:
-    """Find the pings that are like their neighbours, whatever the geometry: with the gate open, a wild one would pull
-    the filter with it.
+def steady(velocity_b: Floats) -> Mask:
+    """Find the pings, (m,), of velocities (m, 3) that are near the median of five, whatever the geometry.
 
-    Parameters
-    ----------
-    velocity_b : ndarray, shape (m, 3)
-
-    Returns
-    -------
-    ndarray of bool, shape (m,)
-        False far from the median of five, beyond what is usual on this dive.
+    With the gate open, a wild one would pull the filter with it.
     """
     padded = np.pad(velocity_b, ((2, 2), (0, 0)), mode="edge")
     off = np.abs(velocity_b - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1))
     usual = np.maximum(np.quantile(off, 0.75, axis=0), LEAST_OFF_MPS)
     return np.asarray((off <= WILD * usual).all(axis=1))
-
-
-def _unsure_of_velocity(start: Start) -> Start:
-    """Forget the velocity at the start, which would tell how the DVL is turned by no more than its own word."""
-    cov = start.cov.copy()
-    cov[DV, DV] += START_SPEED_SD_MPS**2 * np.eye(3)
-    return replace(start, cov=cov)

@@ -10,8 +10,7 @@ from msgspec import Struct
 from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import Calibration, ReferenceCalibration
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import PARAMETERS, DvlGeometry, Parameter
-from insdvl_replay.calibration.reference_parameters import OF_REFERENCE
+from insdvl_replay.calibration.parameters import PARAMETERS, REFERENCE_PARAMETERS, Geometry, Parameter
 from insdvl_replay.calibration.rows import (
     CalibrationResult,
     NoiseRow,
@@ -68,7 +67,7 @@ def calibration_json(found: Calibration, config: Config) -> bytes:
     )
 
 
-def _settings(geometry: DvlGeometry) -> Settings:
+def _settings(geometry: Geometry) -> Settings:
     return Settings(geometry.latency_s, geometry.lever_arm_m, geometry.mounting_rpy_deg, geometry.scale)
 
 
@@ -135,7 +134,7 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
     if found.proposes_noise:
         lines += ["", "[noise]", *_noise_lines(inertial)]
     if (reference := found.reference) is not None:
-        lines += ["", "[reference]", *_lines(REFERENCE_KEYS, OF_REFERENCE, reference.rows, reference)]
+        lines += ["", "[reference]", *_lines(REFERENCE_KEYS, REFERENCE_PARAMETERS, reference.rows, reference)]
         lines += _initial(reference.starts)
     return "\n".join([head, *lines, *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
 

@@ -1,12 +1,24 @@
-"""Dives with a reference: where it sits, how it is turned and how late it is, and what it says of the DVL."""
+"""Dives with a reference: where it sits, how it is turned and how late it is, and what it says of the DVL.
+
+Velocities are compared in the axes of the body, each by its own attitude, so that the heading that a filter has lost
+does not count; attitudes by how their difference changes from row to row, which the same heading hardly moves, and
+level by its mean. Where the reference has no velocity, ways between its positions are compared, turned likewise. The
+filter is run anew for whatever changes what it is told, or when it is asked; the reference is moved as
+`preparation.prepared` moves it.
+
+What the innovations said of the DVL is a measurement of its own, as sure as they are, so that the two heads are told
+apart: velocities see the sum of how the reference and the DVL are turned, and innovations see the DVL alone.
+"""
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.calibration.calibration import (
     BELIEVABLE_SCALE,
@@ -14,144 +26,422 @@ from insdvl_replay.calibration.calibration import (
     MANY_TIMES,
     Calibration,
     ReferenceCalibration,
+    Refusals,
+    finite_or_none,
     parameter_rows,
 )
-from insdvl_replay.calibration.certainty import SEEN, Certainty
-from insdvl_replay.calibration.dives import ReadDive, with_geometry
-from insdvl_replay.calibration.fit import Mask
-from insdvl_replay.calibration.innovations import DiveInnovations
-from insdvl_replay.calibration.parameters import NAMES, PRIOR_SD, SCALE, DvlGeometry
-from insdvl_replay.calibration.reference_fit import ReferenceFit, fit_reference
-from insdvl_replay.calibration.reference_parameters import (
+from insdvl_replay.calibration.certainty import SEEN, Certainty, differing
+from insdvl_replay.calibration.fit import Linearised, scatter_of, total_information
+from insdvl_replay.calibration.innovations import (
+    NO_CHANGE,
+    DiveInnovations,
+    Mask,
+    ReadDive,
+    central_differences,
+    with_dvl,
+)
+from insdvl_replay.calibration.parameters import (
     CLOCK,
     HEADING,
-    LATEST_CLOCK_S,
-    OF_REFERENCE,
+    PRIOR_SD,
     REFERENCE_ARM,
     REFERENCE_MOUNTING,
+    SCALE,
     SHARED,
     SHARED_SD,
     SHARED_STEPS,
-    ReferenceGeometry,
+    Geometry,
+    moved_mounting,
+    moved_pings,
 )
-from insdvl_replay.calibration.rows import ParameterRow, ReferenceDiveRow, StartRow
-from insdvl_replay.calibration.with_reference import MOTION, ReferenceDive, reference_dive
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.calibration.rows import ReferenceDiveRow, StartRow
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, at_time, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import track_progress
+from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.drift import TrackFit, filter_track_fit
 from insdvl_replay.evaluation.errors import reference_errors
+from insdvl_replay.evaluation.series import samples_in_mean
+from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
+from insdvl_replay.nav.timeline import build_timeline
+from insdvl_replay.preparation.prepared import reference_at_imu
+from insdvl_replay.preparation.running import run_one
 from insdvl_replay.preparation.start_heading import fitted_start
 
+COUNT: Final = len(SHARED)
+OWN: Final = 2
+"""Of each dive alone, where the reference has no attitude: the filter's heading, and how it drifts over the dive."""
 OF_DVL: Final = (HEADING, SCALE)
 """What a reference may move of the DVL."""
+SETTLED_S: Final = 30.0
+"""After the start, which hangs on the reference."""
+APART_S: Final = 0.5
+"""Rows of the reference that are nearer to each other would say the same."""
+WAY_S: Final = 10.0
+"""Between two positions: the way is longer than a fix is wrong."""
+LATEST_CLOCK_S: Final = 1.0
+LOST_HEADING_SD: Final = 10.0 * DEG
+ATTITUDE, LEVEL, MOTION = 0, 1, 2
+"""Families of rows."""
+ROUNDS: Final = 5
+FINEST_CLOCK_S: Final = 2e-4
+"""Between two samples of the IMU the attitude is interpolated, which shifts a clock by about as much on all dives."""
+CONSIDERED: Final = np.array(
+    [parameter.name in ("delay", "mounting_x", "arm_x", "arm_y", "arm_z") for parameter in SHARED]
+)
+"""Of what the innovations said of the DVL, the reference moves scale, pitch and heading; what may be wrong of the rest
+counts in every standard deviation. Velocities just behind a ping would mistake its noise for a delay."""
 WAY: Final = "way made good beside the reference"
+
+
+# --- What a dive's reference and its baseline say of each other.
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Estimated minus reference."""
+
+    time_s: Floats  # (k,), since the start
+    family: NDArray[np.int64]  # (k,): `ATTITUDE` and `LEVEL`, rad, or `MOTION`, m/s or m
+    values: Floats  # (k, 3); NaN where nothing is known
+    own: Floats  # (k, 3, 2): derivative by what is the dive's own
+
+
+@dataclass(frozen=True)
+class ReferenceDive:
+    """A dive that has a reference, with a DVL built in as its innovations said."""
+
+    asked: DiveInnovations
+    reference: ReferenceColumns  # as it was read, thinned, and inside the span however late it is
+    settings: Geometry  # as configured
+    change: Floats  # (8,): what the innovations said of the DVL
+    gives_start: bool  # whether the filter starts from the reference's attitude
+
+    def moved_reference(self, shared: Floats) -> ReferenceColumns:
+        """Return the reference as it would be read with other settings, at the IMU."""
+        settings = self.settings.changed(shared[CLOCK:])
+        late = replace(self.reference, time_ns=self._times_ns(shared))
+        return reference_at_imu(late, self.asked.dive.imu, np.array(settings.lever_arm_m), settings.mat_b)
+
+    def _times_ns(self, shared: Floats) -> TimeNs:
+        return np.asarray(self.reference.time_ns - nanoseconds(float(shared[CLOCK])))
+
+    def history(self, shared: Floats) -> History:
+        """Run the baseline with another DVL, and look at it at the reference's times, late as they are said to be."""
+        prepared, imu, change = self.asked.prepared, self.asked.dive.imu, self.change + shared[:CLOCK]
+        alignment, pings = prepared.alignment, moved_pings(prepared.velocities, change)
+        timeline = build_timeline(
+            imu, pings.time_ns, self._times_ns(shared), alignment.start_ns, prepared.end_ns, prepared.gaps
+        )
+        if self.gives_start:
+            # As the reference says once it is moved: from another heading the Earth seems to turn otherwise, which a
+            # good filter takes for tilt and slowness.
+            late = mat_from_vector(at_time(imu.time_ns, imu.angular_rate_b, alignment.start_ns) * shared[CLOCK])
+            mat_nb = alignment.start.mat_nb @ late @ mat_from_vector(-shared[REFERENCE_MOUNTING])
+            alignment = replace(alignment, start=replace(alignment.start, mat_nb=mat_nb))
+        mounting = moved_mounting(prepared.mounting, change)
+        moved = replace(prepared, velocities=pings, mounting=mounting, alignment=alignment)
+        return run_one(self.asked.filter, moved, timeline)
+
+    def compared(self, shared: Floats, history: History | None = None) -> Compared:
+        """Compare with other settings, changes of `SHARED`; ``history`` as of `history`, if it is there already."""
+        history = self.history(shared) if history is None else history
+        theirs = self.moved_reference(shared)
+        _, ours, rows = np.intersect1d(history.time_ns, theirs.time_ns, return_indices=True)
+        theirs = theirs.rows(np.isin(np.arange(len(theirs.time_ns)), rows))
+        time_s = seconds(theirs.time_ns, self.asked.prepared.alignment.start_ns)
+        mat_nb, parts = history.mat_nb[ours], []
+        if theirs.has_attitude:
+            apart = vector_from_mat(np.swapaxes(theirs.mat_nb, 1, 2) @ mat_nb)
+            level = np.array([[*apart[:, :2].mean(axis=0), np.nan]])
+            parts += [(ATTITUDE, time_s[1:], np.diff(apart, axis=0)), (LEVEL, time_s[:1], level)]
+        own = np.zeros((sum(len(values) for _, _, values in parts), 3, OWN))
+        if theirs.has_velocity:
+            ours_b = np.einsum("kji,kj->ki", mat_nb, history.velocity_n[ours])
+            by_heading = np.column_stack([-ours_b[:, 1], ours_b[:, 0], np.zeros(len(ours_b))])
+            their_mat_nb = theirs.mat_nb if theirs.has_attitude else mat_nb
+            at_s, apart = time_s, ours_b - np.einsum("kji,kj->ki", their_mat_nb, theirs.velocity_n)
+        else:
+            # Ways between positions, north and east.
+            known = np.flatnonzero(theirs.known["positions"])
+            ends = known[thinned(theirs.time_ns[known], WAY_S)]
+            origin = theirs.position[ends[0]]
+            ours_m, theirs_m = (
+                np.column_stack(north_east_m(position[ends], origin, origin))
+                for position in (history.position[ours], theirs.position)
+            )
+            way_m, at_s = np.diff(ours_m, axis=0), (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
+            by_heading = np.column_stack([-way_m[:, 1], way_m[:, 0], np.zeros(len(way_m))])
+            apart = np.column_stack([way_m - np.diff(theirs_m, axis=0), np.full(len(way_m), np.nan)])
+            if theirs.has_attitude:
+                off = vector_from_mat(mat_nb[ends] @ np.swapaxes(theirs.mat_nb[ends], 1, 2))[:, 2]
+                apart -= ((off[1:] + off[:-1]) / 2.0)[:, None] * by_heading
+        parts.append((MOTION, at_s, apart))
+        # An attitude of its own tells the heading that the filter has lost.
+        lost = by_heading * (not theirs.has_attitude)
+        drift = lost * (at_s / time_s[-1])[:, None]
+        return Compared(
+            np.concatenate([time for _, time, _ in parts]),
+            np.concatenate([np.full(len(time), family) for family, time, _ in parts]),
+            np.concatenate([values for _, _, values in parts]),
+            np.concatenate([own, np.stack([lost, drift], axis=-1)]),
+        )
+
+    def jacobian(self, shared: Floats, free: Mask) -> Floats:
+        """Differentiate what is compared by the free numbers, central differences, (k, 3, 15).
+
+        The filter's attitude hangs on the DVL by little more than jumps at pings, which say nothing of how it is built
+        in: attitudes are taken to be without it.
+        """
+        base = self.history(shared)
+        compared = self.compared(shared, base)
+
+        def values_at(tried: Floats) -> Floats:
+            is_of_filter = (tried[: CLOCK + 1] != shared[: CLOCK + 1]).any()
+            return self.compared(tried, None if is_of_filter else base).values
+
+        columns = central_differences(values_at, shared, SHARED_STEPS, free, compared.values.shape)
+        columns[compared.family != MOTION, :, :CLOCK] = 0.0
+        return columns
+
+    @cached_property
+    def level_sd(self) -> float:
+        """How far roll and pitch may be off by themselves, as the filter says, rad."""
+        history = self.history(np.zeros(COUNT))
+        settled = history.time_ns >= self.reference.time_ns[0]
+        return float(np.sqrt(np.mean(history.sd[settled, PHI][:, :2] ** 2)))
+
+    @cached_property
+    def information_of_pings(self) -> Floats:
+        """What pings of such a scatter can tell at most, of `SHARED`; zero but for the DVL's heading and scale."""
+        innovations = self.asked.history(self.change).innovations[0]
+        scatter, velocity_b = scatter_of(innovations.innovation), innovations.measured
+        told = np.zeros(COUNT)
+        told[HEADING] = np.sum((velocity_b[:, [1, 0]] / scatter[:2]) ** 2)
+        told[SCALE] = np.sum((velocity_b / scatter) ** 2)
+        return told
+
+    def linearised(self, values: Floats, free: Mask) -> tuple[Floats, Linearised]:
+        """Return the times, (k,), and what is compared at 17 values; each axis of each family over its scatter."""
+        shared, own = values[:COUNT], values[COUNT:]
+        compared = self.compared(shared)
+        off = compared.values - compared.own @ own
+        known, scatter = np.isfinite(off), np.ones_like(off)
+        for family in np.unique(compared.family):
+            rows = compared.family == family
+            scatter[rows] = self.level_sd if family == LEVEL else scatter_of(np.where(known[rows], off[rows], 0.0))
+        jacobian = np.concatenate([self.jacobian(shared, free), -compared.own], axis=2)
+        jacobian = np.where(known[:, :, None], jacobian / scatter[:, :, None], 0.0)
+        return compared.time_s, Linearised(np.where(known, off / scatter, 0.0), np.ones(3), jacobian, jacobian)
+
+    def apart(self, shared: Floats) -> tuple[float, TrackFit]:
+        """Return the rms of what velocities or ways differ by, and what would lay the track on the reference's."""
+        history, reference = self.history(shared), self.moved_reference(shared)
+        compared = self.compared(shared, history)
+        track = filter_track_fit(reference_errors(history, reference), reference)
+        return float(np.sqrt(np.nanmean(compared.values[compared.family == MOTION] ** 2))), track
+
+
+def thinned(time_ns: TimeNs, apart_s: float) -> NDArray[np.int64]:
+    """Choose rows of which no two are nearer to each other, (m,)."""
+    chosen: list[int] = []
+    row = 0
+    while row < len(time_ns):
+        chosen.append(row)
+        row = int(np.searchsorted(time_ns, time_ns[row] + nanoseconds(apart_s)))
+    return np.array(chosen, dtype=np.int64)
+
+
+def reference_dive(
+    asked: DiveInnovations, reference: ReferenceColumns, settings: Geometry, change: Floats, *, gives_start: bool
+) -> ReferenceDive | None:
+    """Get a dive ready to be compared with its reference as it was read; None where that says too little."""
+    start_ns = asked.prepared.alignment.start_ns + nanoseconds(SETTLED_S)
+    end_ns = asked.prepared.end_ns - nanoseconds(2.0 * LATEST_CLOCK_S)
+    inside = (reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)
+    if reference.has_attitude:
+        inside &= reference.known["attitudes"]
+    kept = reference.rows(inside & reference.known["velocities" if reference.has_velocity else "positions"])
+    kept = kept.rows(np.isin(np.arange(len(kept.time_ns)), thinned(kept.time_ns, APART_S)))
+    if len(kept.time_ns) < 2 or (kept.time_ns[-1] - kept.time_ns[0]) * 1e-9 < 2.0 * WAY_S:
+        return None
+    return ReferenceDive(asked, kept, settings, change, gives_start and reference.has_attitude)
+
+
+# --- Reference and DVL fitted to each other: robust least squares of what the baseline and the reference differ by.
+
+
+@dataclass(frozen=True)
+class ReferenceFit:
+    """An answer: changes of `SHARED`, then what is each of the n dives' own."""
+
+    values: Floats  # (15 + 2 n,)
+    prior_sd: Floats  # likewise
+    times_s: tuple[Floats, ...]  # of each dive
+    dives: tuple[Linearised, ...]
+    information_of_pings: Floats  # (15,), at most; zero where they are not asked
+
+    @property
+    def certainty(self) -> Certainty:
+        """Three standard deviations of each of `SHARED`, as those of a calibration without reference."""
+        cov, considered = self.solved([near.information for near in self.dives])
+        moved, _ = self.solved([near.curvature for near in self.dives])
+        # What the prior says is one measurement of its own.
+        correlated = considered + np.sum((moved / self.prior_sd) ** 2, axis=1)
+        for i, (time_s, near) in enumerate(zip(self.times_s, self.dives, strict=True)):
+            times, at = np.unique(time_s, return_inverse=True)
+            scores = np.zeros((len(times), COUNT + OWN))
+            np.add.at(scores, at, near.scores)
+            # Parts of a sum that may be alike for a long time.
+            parts = scores @ moved[rows_of_dive(i)]
+            samples = np.array([max(samples_in_mean(column), 1.0) for column in parts.T])
+            correlated += np.sum(parts**2, axis=0) * len(parts) / samples
+        # What all pings of a dive are off by is fitted away, and no residual shows it: their scatter says how much.
+        told = np.flatnonzero(self.information_of_pings)
+        correlated[told] += 1.0 / self.information_of_pings[told]
+        correlated[CLOCK] += FINEST_CLOCK_S**2
+        formal, correlated = (np.sqrt(variances)[:COUNT] for variances in (np.diag(cov) + considered, correlated))
+        none = np.zeros(COUNT)
+        between = birge = np.full(COUNT, np.nan)
+        if len(self.dives) > 1:
+            own, own_sd = [], []
+            for i, near in enumerate(self.dives):
+                rows = rows_of_dive(i)
+                alone = ReferenceFit(self.values[rows], self.prior_sd[rows], (self.times_s[i],), (near,), none)
+                cov, considered = alone.solved([near.information])
+                own.append((alone.values + cov @ alone.gradient)[:COUNT])
+                own_sd.append(np.sqrt(np.diag(cov) + considered)[:COUNT])
+            between, birge = differing(np.array(own), np.array(own_sd), np.ones_like(own))
+        return Certainty(SHARED_SD, formal, correlated, between, birge, none, none)
+
+    @property
+    def gradient(self) -> Floats:
+        """Minus half the gradient of the cost, as the values."""
+        gradient = -self.values / self.prior_sd**2
+        for i, near in enumerate(self.dives):
+            gradient[rows_of_dive(i)] += near.scores.sum(axis=0)
+        return gradient
+
+    def solved(self, matrices: Sequence[Floats]) -> tuple[Floats, Floats]:
+        """Return the covariance of what is estimated, and the variances that what is considered adds (Schmidt).
+
+        The first is zero, and the second the prior's, for what is considered. The matrices are each dive's, (17, 17).
+        """
+        rows = [rows_of_dive(i) for i in range(len(matrices))]
+        information = total_information(self.prior_sd, rows, matrices)
+        considered = np.flatnonzero(CONSIDERED)
+        estimated = np.setdiff1d(np.arange(len(information)), considered)
+        cov, added = np.zeros_like(information), np.zeros(len(information))
+        own = np.linalg.inv(information[np.ix_(estimated, estimated)])
+        cov[np.ix_(estimated, estimated)] = own
+        moved = own @ information[np.ix_(estimated, considered)]
+        added[estimated] = np.sum((moved * self.prior_sd[considered]) ** 2, axis=1)
+        added[considered] = self.prior_sd[considered] ** 2
+        return cov, added
+
+
+def rows_of_dive(dive: int) -> NDArray[np.int64]:
+    """Places of the numbers of a dive among all, (17,)."""
+    return np.concatenate([np.arange(COUNT), COUNT + OWN * dive + np.arange(OWN)])
+
+
+def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats) -> ReferenceFit:
+    """Find the changes of `SHARED`, known by some sds before, under which baseline and reference differ least."""
+    prior_sd = np.concatenate([shared_sd, np.full(OWN * len(dives), LOST_HEADING_SD)])
+    pings = np.sum([dive.information_of_pings for dive in dives], axis=0) * free
+
+    def linearised(values: Floats) -> ReferenceFit:
+        found = [dive.linearised(values[rows_of_dive(i)], free) for i, dive in enumerate(dives)]
+        times_s, near = zip(*found, strict=True)
+        return ReferenceFit(values, prior_sd, times_s, near, pings)
+
+    fit = linearised(np.zeros(len(prior_sd)))
+    for _ in track_progress("fitting the reference", range(ROUNDS)):
+        cov, _ = fit.solved([near.information for near in fit.dives])
+        values = fit.values + cov @ fit.gradient
+        values[CLOCK] = np.clip(values[CLOCK], -LATEST_CLOCK_S, LATEST_CLOCK_S)
+        fit = linearised(values)
+    return fit
+
+
+# --- What is proposed.
 
 
 def with_reference(
     found: Calibration, reads: Sequence[ReadDive], dives: Sequence[DiveInnovations], groups: Collection[str]
 ) -> Calibration:
-    """Hold what the innovations said against the references of the dives, and add what these show.
-
-    Parameters
-    ----------
-    found : Calibration
-        By innovations alone.
-    reads, dives : sequence
-        Those that were fitted, in the same order.
-    groups : collection of str
-        What may be estimated, of `REFERENCE_GROUPS`.
+    """Hold what the innovations said against the references of the same dives, and add what these show.
 
     Raises
     ------
     LogError
         None of the dives has a reference that says enough.
     """
-    before = ReferenceGeometry.of(reads[0].config.reference)
-    dives = [found.noise.applied(dive) for dive in dives]
-    compared = list(_compared(found, reads, dives, before))
+    before = Geometry.of(reads[0].config.reference)
+    compared: list[ReferenceDive] = []
+    for i, (read, asked) in enumerate(zip(reads, dives, strict=True)):
+        if read.as_read is not None:
+            gives_start = read.config.initial.source == "reference"
+            noisy, change = found.noise.applied(asked), found.change_of_dive(i)
+            dive = reference_dive(noisy, read.as_read, before, change, gives_start=gives_start)
+            compared += [dive] if dive is not None else []
     if not compared:
         raise LogError(
             "no dive has a reference to calibrate by",
             "velocities or positions are needed over a minute at least; `insdvl-replay inspect LOG` says what is there",
         )
-    asked = np.array([parameter.group in groups for parameter in SHARED])
-    has_attitude = all(dive.reference.has_attitude for dive in compared)
-    free = asked.copy()
-    if not has_attitude:
+    wanted = np.array([parameter.group in groups for parameter in SHARED])
+    free = wanted.copy()
+    if not all(dive.reference.has_attitude for dive in compared):
         free[REFERENCE_MOUNTING] = free[REFERENCE_ARM] = False
-    sds = _sure_of(found)
-    first = fit_reference(compared, free, sds)
-    certainty, total = first.certainty, _total(found, first)
-    refused = dict(_refused(certainty, total, free))
-    kept = free & ~np.isin(np.arange(len(SHARED)), list(refused))
-    fit = first if (kept == free).all() else fit_reference(compared, kept, sds)
-    proposed = np.where(kept, _total(found, fit), 0.0)
-    refused |= dict.fromkeys(
-        np.flatnonzero(asked & ~free).tolist(), (Estimated.HELD, "needs a reference with attitude")
-    )
-    rows = tuple(parameter_rows(SHARED, certainty, proposed, total, asked, refused))
-    reference = ReferenceCalibration(
-        before, before.changed(proposed), rows[len(NAMES) :], tuple(_dive_rows(compared, fit))
-    )
-    doubts = _doubts(certainty, kept, reference, independent=reads[0].config.reference.independent)
-    calibrated = _replaced(found, rows, proposed, reference, tuple(doubts))
-    starts = tuple(_starts(reads, calibrated.after))
-    return replace(calibrated, reference=replace(reference, starts=starts))
-
-
-def _starts(reads: Sequence[ReadDive], geometry: DvlGeometry) -> Iterator[StartRow]:
-    """Fit the headings at the start that only positions tell, with the DVL as it is proposed."""
-    for read in reads:
-        reference = read.dive.reference
-        if reference is None or not reference.has_position or reference.has_attitude:
-            continue
-        with suppress(LogError):
-            start = fitted_start(read.dive, with_geometry(read.config, geometry))
-            yield StartRow(
-                read.dive.name,
-                start.heading_deg,
-                start.heading_sd_deg,
-                start.gyro_bias_degph,
-                start.gyro_bias_sd_degph,
-            )
-
-
-def _compared(
-    found: Calibration, reads: Sequence[ReadDive], dives: Sequence[DiveInnovations], before: ReferenceGeometry
-) -> Iterator[ReferenceDive]:
-    for i, (read, asked) in enumerate(zip(reads, dives, strict=True)):
-        if read.as_read is None:
-            continue
-        change = found.change_of_dive(i)
-        gives_start = read.config.initial.source == "reference"
-        if (compared := reference_dive(asked, read.as_read, before, change, gives_start=gives_start)) is not None:
-            yield compared
-
-
-def _sure_of(found: Calibration) -> Floats:
-    """Return how sure each of `SHARED` is before: the DVL's numbers as the innovations say, but for its scale, which
-    smoothing inside the DVL would pull."""
+    # As sure as the innovations are of the DVL, but for its scale, which smoothing inside the DVL would pull.
     sds = SHARED_SD.copy()
-    for row, of_row in enumerate(found.rows):
-        if row != SCALE and of_row.status == Estimated.ESTIMATED and of_row.sd is not None:
-            sds[row] = min(of_row.sd / SHARED[row].shown_as, PRIOR_SD[row])
-    return sds
+    for row, of_dvl in enumerate(found.rows):
+        if row != SCALE and of_dvl.status == Estimated.ESTIMATED and of_dvl.sd is not None:
+            sds[row] = min(of_dvl.sd / SHARED[row].shown_as, PRIOR_SD[row])
+    by_innovations = np.concatenate([found.change, np.zeros(COUNT - CLOCK)])
+    # Once to see what is shown, and again without what is not.
+    first = fit_reference(compared, free, sds)
+    certainty, total = first.certainty, first.values[:COUNT] + by_innovations
+    refused = dict(_refused(certainty, total, free))
+    kept = free & ~np.isin(np.arange(COUNT), list(refused))
+    fit = first if (kept == free).all() else fit_reference(compared, kept, sds)
+    proposed = np.where(kept, fit.values[:COUNT] + by_innovations, 0.0)
+    without_attitude = Estimated.HELD, "needs a reference with attitude"
+    refused |= dict.fromkeys(np.flatnonzero(wanted & ~free).tolist(), without_attitude)
+    rows = tuple(parameter_rows(SHARED, certainty, proposed, total, wanted, refused))
+    dive_rows = tuple(_dive_row(dive, fit) for dive in compared)
+    # The reference has the last word on those of the DVL's numbers that it shows.
+    dvl_rows, change = list(found.rows), found.change.copy()
+    for row in OF_DVL:
+        if rows[row].status == Estimated.ESTIMATED:
+            dvl_rows[row] = msgspec.structs.replace(rows[row], why=WAY)
+            change[row] = proposed[row]
+    after = found.before.changed(change)
+    doubts = _doubts(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
+    reference = ReferenceCalibration(
+        before, before.changed(proposed[CLOCK:]), rows[CLOCK:], dive_rows, tuple(_starts(reads, after))
+    )
+    return replace(
+        found,
+        rows=tuple(dvl_rows),
+        change=change,
+        after=after,
+        doubts=(*found.doubts, *doubts),
+        reference=reference,
+    )
 
 
-def _total(found: Calibration, fit: ReferenceFit) -> Floats:
-    """Return the change from what the configuration says, shape (15,)."""
-    total: Floats = fit.shared + np.concatenate([found.change, np.zeros(len(OF_REFERENCE))])
-    return total
-
-
-def _refused(certainty: Certainty, change: Floats, free: Mask) -> Iterator[tuple[int, tuple[Estimated, str]]]:
+def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
     for row in np.flatnonzero(free).tolist():
         parameter = SHARED[row]
-        if row < len(NAMES) and row not in OF_DVL:
+        if row < CLOCK and row not in OF_DVL:
             continue
         # Told first: at the edge what is left is no noise, and no sd right.
-        if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - float(SHARED_STEPS[CLOCK]):
+        if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - parameter.step:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
@@ -161,69 +451,38 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Iterator[tuple
             yield row, (Estimated.DOUBTFUL, "too far from the configuration: are axes and clocks the same?")
 
 
-def _replaced(
-    found: Calibration,
-    rows: Sequence[ParameterRow],
-    proposed: Floats,
-    reference: ReferenceCalibration,
-    doubts: tuple[str, ...],
-) -> Calibration:
-    """Let the reference have the last word on those of the DVL's numbers that it shows."""
-    of_dvl, change = list(found.rows), found.change.copy()
-    for row in OF_DVL:
-        if rows[row].status == Estimated.ESTIMATED:
-            of_dvl[row] = msgspec.structs.replace(rows[row], why=WAY)
-            change[row] = proposed[row]
-    return replace(
-        found,
-        rows=tuple(of_dvl),
-        change=change,
-        after=found.before.changed(change),
-        doubts=(*found.doubts, *doubts),
-        reference=reference,
-    )
+def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
+    # Before is as configured, without what the innovations said.
+    rms_before, track_before = replace(dive, change=NO_CHANGE).apart(np.zeros(COUNT))
+    rms, track = dive.apart(fit.values[:COUNT])
+    numbers = (track_before.scale_pct, track.scale_pct, track.scale_sd_pct)
+    turns = (track_before.turn_deg, track.turn_deg, track.turn_sd_deg)
+    unit = "m/s" if dive.reference.has_velocity else "m"
+    count = len(dive.reference.time_ns)
+    return ReferenceDiveRow(dive.asked.name, count, unit, rms_before, rms, *map(finite_or_none, (*numbers, *turns)))
 
 
-def _dive_rows(dives: Sequence[ReferenceDive], fit: ReferenceFit) -> Iterator[ReferenceDiveRow]:
-    for dive in dives:
-        # Before is as configured, without what the innovations said.
-        configured = replace(dive, change=np.zeros(len(NAMES)))
-        (rms_before, track_before), (rms, track) = (
-            _apart(configured, np.zeros(len(SHARED))),
-            _apart(dive, fit.shared),
-        )
-        moves = "m/s" if dive.reference.has_velocity else "m"
-        numbers = (track_before.scale_pct, track.scale_pct, track.scale_sd_pct)
-        turns = (track_before.turn_deg, track.turn_deg, track.turn_sd_deg)
-        yield ReferenceDiveRow(
-            dive.asked.name, len(dive.reference.time_ns), moves, rms_before, rms, *map(_known, (*numbers, *turns))
-        )
+def _starts(reads: Sequence[ReadDive], geometry: Geometry) -> Iterator[StartRow]:
+    """Fit the headings at the start that only positions tell, with the DVL as it is proposed."""
+    for read in reads:
+        reference = read.dive.reference
+        if reference is not None and reference.has_position and not reference.has_attitude:
+            with suppress(LogError):
+                start = fitted_start(read.dive, with_dvl(read.config, geometry))
+                gyro = (start.gyro_bias_degph, start.gyro_bias_sd_degph)
+                yield StartRow(read.dive.name, start.heading_deg, start.heading_sd_deg, *gyro)
 
 
-def _apart(dive: ReferenceDive, shared: Floats) -> tuple[float, TrackFit]:
-    """Return the rms of what velocities or ways differ by, and what would lay the track on the reference's."""
-    history = dive.history(shared)
-    compared = dive.compared(shared, history)
-    moved = compared.values[compared.family == MOTION]
-    reference = dive.moved_reference(shared)
-    track = filter_track_fit(reference_errors(history, reference), reference)
-    return float(np.sqrt(np.nanmean(moved**2))), track
-
-
-def _known(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _doubts(certainty: Certainty, kept: Mask, reference: ReferenceCalibration, *, independent: bool) -> Iterator[str]:
+def _doubts(certainty: Certainty, kept: Mask, dives: Sequence[ReferenceDiveRow], *, independent: bool) -> Iterator[str]:
     if not independent:
         yield "the reference is made from the same IMU or DVL (reference.independent = false), and repeats their errors"
     for row in np.flatnonzero(kept & (np.nan_to_num(certainty.birge) > MANY_TIMES)).tolist():
-        if row in OF_DVL or row >= len(NAMES):
+        if row in OF_DVL or row >= CLOCK:
             yield (
                 f"beside the reference, dives differ in {SHARED[row].name} {certainty.birge[row]:.1f} times as much as "
                 "each is sure"
             )
-    for dive in reference.dives:
+    for dive in dives:
         left, sd = dive.track_scale_after_pct, dive.track_scale_sd_pct
         if kept[SCALE] and left is not None and sd is not None and abs(left) > BELIEVABLE_SDS * sd:
             yield f"{dive.dive}: by its track, the scale is still off by {left:+.2f} % (sd {sd:.2f} %)"

@@ -26,7 +26,7 @@ from insdvl_replay.cli.options import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
 
-    from insdvl_replay.calibration.dives import ReadDive
+    from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.dive_columns import Dive
     from insdvl_replay.core.errors import Note
@@ -100,11 +100,12 @@ def calibrate(
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
     from insdvl_replay.calibration.calibration import calibrate as calibrated
-    from insdvl_replay.calibration.dives import held_out_row, likeliest_mounting, possible_axes, with_mounting
+    from insdvl_replay.calibration.calibration import held_out_row
     from insdvl_replay.calibration.document import calibration_document
     from insdvl_replay.calibration.figures import calibration_figures
+    from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
     from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
-    from insdvl_replay.calibration.parameters import DvlGeometry
+    from insdvl_replay.calibration.parameters import Geometry
     from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.messages import log_notes, write_stdout
     from insdvl_replay.cli.screen import compiling, in_format, steps_bar
@@ -124,7 +125,7 @@ def calibrate(
         if not dives:
             return failed
         kept, held = _parted(dives, hold_out)
-        known, ways = DvlGeometry.of(resolved), len(possible_axes(kept[0].dive.dvl))
+        known, ways = Geometry.of(resolved.dvl), len(possible_axes(kept[0].dive.dvl))
         if mounting is Mounting.UNKNOWN:
             resolved = with_mounting(resolved, likeliest_mounting(kept))
             kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
@@ -134,7 +135,7 @@ def calibrate(
         found = found.from_mounting(known, ways) if mounting is Mounting.UNKNOWN else found
         noise = found.noise if found.proposes_noise else None
         others = [held_out_row(dive, found.change, noise) for dive in track_progress("trying it on other dives", held)]
-        found = found.with_held_out(others)
+        found = replace(found, held_out=tuple(others))
     for read, of_one in zip(kept, asked, strict=True):
         log_notes(_of_dive(read.dive, of_one.prepared), verbose=verbose > 0)
     write_stdout(
@@ -182,8 +183,7 @@ def _named(file: Path | None) -> str:
 
 
 def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
-    from insdvl_replay.calibration.parameters import ALL_GROUPS
-    from insdvl_replay.calibration.reference_parameters import REFERENCE_GROUPS
+    from insdvl_replay.calibration.parameters import ALL_GROUPS, REFERENCE_GROUPS
     from insdvl_replay.core.errors import ConfigError, require_known
 
     known = REFERENCE_GROUPS if reference else ALL_GROUPS
@@ -202,7 +202,7 @@ def _read(
 ) -> tuple[list["ReadDive"], int]:
     """Read the dives; one that cannot be used does not stop the others."""
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.calibration.dives import read_dive
+    from insdvl_replay.calibration.innovations import read_dive
     from insdvl_replay.cli.messages import log_failure
     from insdvl_replay.core.runtime import track_progress
 

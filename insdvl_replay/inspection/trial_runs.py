@@ -12,7 +12,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.dives import CLEARLY, ReadDive, TriedMounting, tried_mountings
+from insdvl_replay.calibration.fit import CLEARLY, TriedMounting, tried_mountings
+from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.core.config import Config, Dvl, Initial, Noise
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns

@@ -1,6 +1,7 @@
 """The page of a calibration: the pictures show the numbers of the tables, and the file is written as others are."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,10 @@ from browser import PROGRAM, opened_browser
 from built_in import ReadDive, built_in_otherwise
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.document import LABELS, calibration_document
+from insdvl_replay.calibration.document import calibration_document
 from insdvl_replay.calibration.figures import DRAWN, calibration_figures
 from insdvl_replay.calibration.fit import scatter_of
+from insdvl_replay.calibration.parameters import LABELS
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.table import finite
@@ -68,10 +70,10 @@ def test_one_dive_differs_from_none_and_many_are_not_all_drawn(found: Calibratio
 
 def test_coasting_is_drawn_where_dives_coasted(found: Calibration, dives: list[ReadDive]) -> None:
     rows = [HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5), HeldOutRow("b", 2.0, 1.0, 0, None, None)]
-    *_, last = drawn(found.with_held_out(rows), dives).values()
+    *_, last = drawn(replace(found, held_out=tuple(rows)), dives).values()
     _, before, after = last.panels[0].curves
     assert (before.y.tolist(), after.y.tolist()) == ([4.0], [1.5])
-    *_, other = drawn(found.with_held_out(rows[1:]), dives).values()
+    *_, other = drawn(replace(found, held_out=tuple(rows[1:])), dives).values()
     assert other.title != last.title
 
 
@@ -96,7 +98,7 @@ def test_a_page_is_written_and_never_over_another(tmp_path: Path, capsys: pytest
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium (make extras)")
 def test_a_browser_shows_it_whole(found: Calibration, dives: list[ReadDive], tmp_path: Path) -> None:
     html = tmp_path / "page.html"
-    held = found.with_held_out([HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5)])
+    held = replace(found, held_out=(HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5),))
     html.write_bytes(page(calibration_document(held, "found.toml", list(drawn(held, dives).values()))))
     with opened_browser(tmp_path / "profile") as browser:
         for width in (1200, 390):

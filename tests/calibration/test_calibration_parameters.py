@@ -5,15 +5,14 @@ import numpy as np
 import pytest
 from built_in import CONFIG, as_read
 
-from insdvl_replay.calibration.dives import with_geometry
-from insdvl_replay.calibration.innovations import SKIPPED
+from insdvl_replay.calibration.innovations import SKIPPED, with_dvl
 from insdvl_replay.calibration.parameters import (
     ARM,
     DELAY,
     MOUNTING,
     NAMES,
     SCALE,
-    DvlGeometry,
+    Geometry,
     moved_mounting,
     moved_pings,
 )
@@ -24,7 +23,7 @@ from insdvl_replay.preparation.filters import dvl_mounting
 from insdvl_replay.sim.dive import exact_dive
 
 CHANGE = np.array([0.03, 0.02, -0.01, 0.05, 0.3, -0.1, 0.2, 0.01])
-CONFIGURED = DvlGeometry(0.1, (1.0, 2.0, 3.0), (4.0, -5.0, 60.0), 1.02)
+CONFIGURED = Geometry(0.1, (1.0, 2.0, 3.0), (4.0, -5.0, 60.0), 1.02)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +32,7 @@ def exact() -> Dive:
 
 
 def test_moved_pings_are_those_of_a_log_that_is_read_with_the_new_settings(exact: Dive) -> None:
-    read = as_read(exact).with_config(with_geometry(CONFIG, CONFIGURED))
+    read = as_read(exact).with_config(with_dvl(CONFIG, CONFIGURED))
     before, proposed = read.prepared(), CONFIGURED.changed(CHANGE)
     expected = read.prepared(proposed)
     moved = moved_pings(before.velocities, CHANGE)
@@ -41,7 +40,7 @@ def test_moved_pings_are_those_of_a_log_that_is_read_with_the_new_settings(exact
     np.testing.assert_allclose(moved.velocity_b[inside], expected.velocities.velocity_b[inside], atol=1e-13)
     np.testing.assert_allclose(moved.unit_cov_b[inside], expected.velocities.unit_cov_b[inside], atol=1e-13)
     np.testing.assert_array_equal(moved.time_ns, before.velocities.time_ns - 30_000_000)
-    mounting, wanted = moved_mounting(before.mounting, CHANGE), dvl_mounting(with_geometry(CONFIG, proposed))
+    mounting, wanted = moved_mounting(before.mounting, CHANGE), dvl_mounting(with_dvl(CONFIG, proposed))
     np.testing.assert_allclose(mounting.mat_bd, wanted.mat_bd, atol=1e-13)
     np.testing.assert_allclose(mounting.lever_arm_b, wanted.lever_arm_b, atol=1e-15)
     assert mounting.scale == pytest.approx(wanted.scale, rel=1e-15)
@@ -91,6 +90,6 @@ def skews(vectors: Floats) -> Floats:
 def test_scale_of_a_turn_is_about_its_axis() -> None:
     yawed = np.zeros(len(NAMES))
     yawed[MOUNTING.stop - 1] = 2.0 * DEG
-    assert DvlGeometry(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0), 1.0).changed(yawed).mounting_rpy_deg == pytest.approx(
+    assert Geometry(0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0), 1.0).changed(yawed).mounting_rpy_deg == pytest.approx(
         (0.0, 0.0, 12.0)
     )

@@ -10,20 +10,19 @@ import pytest
 from built_in import CONFIG, WHITE
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.dives import ReadDive
 from insdvl_replay.calibration.document import calibration_document
+from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
-from insdvl_replay.calibration.reference import with_reference
-from insdvl_replay.calibration.reference_parameters import (
+from insdvl_replay.calibration.parameters import (
     CLOCK,
     REFERENCE_ARM,
     REFERENCE_GROUPS,
     REFERENCE_MOUNTING,
     SHARED,
-    ReferenceGeometry,
+    Geometry,
 )
+from insdvl_replay.calibration.reference import ATTITUDE, MOTION, reference_dive, with_reference
 from insdvl_replay.calibration.rows import CalibrationResult
-from insdvl_replay.calibration.with_reference import ATTITUDE, MOTION, reference_dive
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
@@ -186,7 +185,7 @@ def test_what_reference_and_baseline_differ_by_has_its_closed_form() -> None:
     truth = exact("figure-eight")
     assert truth.reference is not None
     read = ReadDive(with_reference_at_imu(truth, CONFIG), CONFIG, truth.reference)
-    geometry = ReferenceGeometry.of(CONFIG.reference)
+    geometry = Geometry.of(CONFIG.reference)
     dive = reference_dive(read.innovations(), truth.reference, geometry, np.zeros(8), gives_start=True)
     assert dive is not None
     none = np.zeros(len(SHARED))

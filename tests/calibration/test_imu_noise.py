@@ -7,9 +7,8 @@ import pytest
 from built_in import ARM_M, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, built_in_otherwise, shown
 
 from insdvl_replay.calibration.calibration import MANY_TIMES, Calibration, calibrate
-from insdvl_replay.calibration.certainty import certainty_of, delay_weights, differing
+from insdvl_replay.calibration.certainty import MOTION_S, averaged, certainty_of, delay_weights, differing, noise_share
 from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
-from insdvl_replay.calibration.motion import MOTION_S, averaged, noise_share
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import DELAY, NAMES
 from insdvl_replay.core.config_file import load_config
@@ -131,7 +130,7 @@ def test_dives_that_lie_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
     assert {"arm_x", "arm_y", "arm_z", *(["mounting_z"] if times == 1.0 else [])} <= proposed(found)
     assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
     assert max(row.birge or 0.0 for row in found.rows) <= MANY_TIMES
-    assert [found.fit.of_dive(i)[DELAY] for i in (1, 2)] == [0.0, 0.0]
+    assert [found.fit.change(i)[DELAY] for i in (1, 2)] == [0.0, 0.0]
     if times == 1.0:
         alone = calibrated(moving)
         assert proposed(found) == proposed(alone)
@@ -156,7 +155,7 @@ def test_strong_manoeuvres_show_the_delay_beside_a_noisy_imu(grade: str) -> None
 
 def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
     found = calibrated(otherwise("lawnmower", "mems", 62))
-    assert shown(found.fit.of_dive(0))[-1] == 0.0
+    assert shown(found.fit.change(0))[-1] == 0.0
     assert found.after.lever_arm_m[:2] == pytest.approx((0.3, -0.1), abs=0.05)
 
 
@@ -191,7 +190,7 @@ def test_both_standard_deviations_are_alike_where_residuals_are_white() -> None:
     jacobian = by_motion @ (np.eye(len(NAMES)) + 0.3 * rng.standard_normal((len(NAMES), len(NAMES))))
     near = Linearised(rng.standard_normal((4000, 3)), np.ones(3), jacobian, by_motion)
     unknowns = Unknowns(1, one_delay=False, free=free)
-    certainty = certainty_of(Fit(unknowns, np.zeros(unknowns.count), (near,)))
+    certainty = certainty_of(Fit(unknowns, np.zeros(len(unknowns.parameters)), (near,)))
     assert certainty.correlated == pytest.approx(certainty.formal, rel=0.2)
 
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from vehicles_own import Told, off, truth_of, write_nav_solution, write_odometry, write_tum
 
-from insdvl_replay.calibration.dives import read_dive as read_for_calibration
+from insdvl_replay.calibration.innovations import read_dive as read_for_calibration
 from insdvl_replay.core.config import Config, Evaluation, Filter, Initial, Reference, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns, seconds
