@@ -33,9 +33,8 @@ from insdvl_replay.core.words import Judgement
 from insdvl_replay.evaluation.errors import reference_errors
 from insdvl_replay.evaluation.over_dives import pooled_evidence, pooled_judgement
 from insdvl_replay.logs import write_dive
-from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.running import prepared_timeline, run_filters
+from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
+from insdvl_replay.preparation.run import prepared_timeline, run_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.studies.simulated_run import MonteCarloSetup, drawn_start
 

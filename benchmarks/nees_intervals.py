@@ -24,7 +24,7 @@ from insdvl_replay.evaluation.chi_square import mean_interval
 from insdvl_replay.evaluation.credibility import StateErrors, about_vehicle, credibility_table, state_errors, whitened
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.running import prepared_timeline, run_filters
+from insdvl_replay.preparation.run import prepared_timeline, run_filters
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.simulated_run import MonteCarloSetup, drawn_start, matched_errors, run_seed
 

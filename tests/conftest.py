@@ -1,6 +1,7 @@
 """What several tests share."""
 
 import signal
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,17 @@ settings.load_profile("repeatable")
 # A shell lets what it starts in the background ignore Ctrl-C, and the programs that tests start would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_draw = replay.run_from_drawn_starts
+_plan = replay.plan_runs
 _draws = {"all": False}
 
 
-def _draw_one(dive: Any, prepared: Any, count: int, *seed: int) -> Any:
+def _plan_one(dive: Any, prepared: Any, config: Any) -> Any:
     """Replay from one start where nobody asks about starts: the usual 16 take four times as long."""
-    return _draw(dive, prepared, 1 if count == Evaluation().starts and not _draws["all"] else count, *seed)
+    plan = _plan(dive, prepared, config)
+    return replace(plan, starts=1) if plan.starts == Evaluation().starts and not _draws["all"] else plan
 
 
-replay.run_from_drawn_starts = _draw_one
+replay.plan_runs = _plan_one
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -25,7 +25,7 @@ from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import PooledRow
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.over_dives import pooled_evidence
-from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
 from insdvl_replay.studies.observability import study_observability

@@ -62,8 +62,13 @@ from insdvl_replay.core.table import Number
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.consistency import CLASSES, sensor_class
 from insdvl_replay.evaluation.outage_test import outage_test_table
-from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
-from insdvl_replay.preparation.start_heading import prepare_with_heading
+from insdvl_replay.preparation.run import (
+    coasting_of,
+    coasting_plan,
+    prepare_with_heading,
+    prepared_timeline,
+    run_filters,
+)
 
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
 """Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a

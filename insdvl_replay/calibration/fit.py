@@ -23,7 +23,7 @@ from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.preparation.start_heading import FIT
+from insdvl_replay.preparation.run import FIT
 
 SOFT: Final = 2.0
 """Residuals, in what the axis scatters by, beyond which they count less and less."""

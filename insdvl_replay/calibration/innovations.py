@@ -22,10 +22,8 @@ from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DV
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
-from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.running import run_one
-from insdvl_replay.preparation.start_heading import prepare_with_heading
+from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.run import prepare_with_heading, run_one
 
 LATEST_S: Final = 0.4
 """Delays are looked for up to here, either way."""

@@ -26,7 +26,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.preparation.start_heading import FIT
+from insdvl_replay.preparation.run import FIT
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import counted
 from insdvl_replay.results.json_report import as_json, package_versions, this_tool

@@ -68,8 +68,7 @@ from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.timeline import build_timeline
 from insdvl_replay.preparation.prepared import reference_at_imu
-from insdvl_replay.preparation.running import run_one
-from insdvl_replay.preparation.start_heading import fitted_start
+from insdvl_replay.preparation.run import fitted_start, run_one
 
 COUNT: Final = len(SHARED)
 OWN: Final = 2

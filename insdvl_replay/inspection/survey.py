@@ -50,9 +50,8 @@ def inspect_log(
             _check_start(inventory, config)
             return inventory
         # Not imported before it is needed: a look at the file alone takes less than the filters' import.
-        from insdvl_replay.preparation.prepared import with_reference_at_imu
-        from insdvl_replay.preparation.reading import read_checked_dive
-        from insdvl_replay.preparation.start_heading import prepare_with_heading
+        from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+        from insdvl_replay.preparation.run import prepare_with_heading
 
         dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
         idle = (note for note in inventory.notes if note.code == _IDLE)

@@ -26,9 +26,8 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.imu_proposal import axes_word
 from insdvl_replay.inspection.proposed_settings import Setting, with_settings
 from insdvl_replay.logs.columns.imu import FRD, in_frd
-from insdvl_replay.preparation.prepared import with_reference_at_imu
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.start_heading import FIT, fitted_start
+from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.run import FIT, fitted_start
 from insdvl_replay.replay import replay_dive
 
 UNKNOWN_LATITUDE_DEG: Final = 45.0

@@ -1,46 +1,57 @@
-"""Where and how a filter starts: from the reference, from an AHRS, or level from gravity (section ``[initial]``)."""
+"""Where and how the filters start (``[initial]``): by the reference, other sensors, gravity, or as configured."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
+from msgspec.structs import replace as changed
 
-from insdvl_replay.core.config import Initial
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, ReferenceColumns, apart_s, at_time, seconds
+from insdvl_replay.core.config import Config, Initial
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ReferenceColumns,
+    SensorColumns,
+    apart_s,
+    at_time,
+    seconds,
+)
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.core.states import BA, BG, BY_SENSOR, DEG, DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import earth_rate_n
+from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import (
     FEWEST_SAMPLES,
     LEVELLING_S,
     Level,
-    SensorNoise,
     Start,
     find_level,
     levelling_samples,
     start_cov,
 )
-from insdvl_replay.preparation.start_position import FAR_S, configured_latitude_deg, idle_note, start_position
+from insdvl_replay.preparation.filters import resolve_filters
 
-HEADING_DOUBT = 10.0 * DEG
-"""No compass of a vehicle errs by more, even where nobody has taken the declination off."""
-
-IDLE_HEADING_DOUBT = 5.0 * DEG
-"""A heading that somebody read off a compass, or a plan, is as near as this."""
-
-TILT_DOUBT = 5.0 * DEG
-"""No AHRS errs by more, nor do accelerometers."""
+FAR_S: Final = 1.0  # what is further from the start than this says little about it: a vehicle moves on
+HEADING_DOUBT: Final = 10.0 * DEG  # no compass of a vehicle errs by more, even with the declination left in
+IDLE_HEADING_DOUBT: Final = 5.0 * DEG  # a heading that somebody read off a compass, or a plan, is as near as this
+TILT_DOUBT: Final = 5.0 * DEG  # no AHRS errs by more, nor do accelerometers
+LATITUDE_DOUBT_DEG: Final = 0.1  # a latitude that a user gives in round numbers is as near as this
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """The start of a replay: when, with which state and uncertainty, and what the reference did not give."""
+    """The start of a replay: when, with which state and uncertainty, and what was assumed."""
 
     start_ns: int
     start: Start
     notes: tuple[Note, ...]
+    initial: Initial | None = None  # the settings, with what other sensors filled in
+    used_ns: Mapping[str, int] = field(default_factory=dict)  # by sensor, the time of the reading that the start took
 
     @property
     def row(self) -> ReferenceColumns:
@@ -51,74 +62,144 @@ class Alignment:
         )
 
 
-def align(
-    imu: ImuColumns,
-    velocities: DvlVelocities,
-    noise: SensorNoise,
-    reference: ReferenceColumns | None,
-    initial: Initial,
-    lever_arm_b: Floats,
-    start_ns: int,
-    end_ns: int,
-    sensed_mat_nb: Floats | None = None,
-    *,
-    is_fix: bool = False,
-) -> Alignment:
-    """Find the start: the reference's first attitude inside the span, or the first sample when levelling.
+def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, end_ns: int) -> Alignment:
+    """Find the start of the filters in a span: the first attitude of the reference or the AHRS, else its first sample.
 
-    What the reference lacks is taken from gravity (roll, pitch), from the DVL (velocity) and from the configuration
-    (heading, position), each with a note. Started level or by a sensor, the reference gives the position and height
-    alone. The lever arm, shape (3,), goes from IMU to DVL, m; a sensor's attitude, shape (3, 3), is that at the start,
-    and a sensor's fix may stand in the place of the configured position.
+    What the reference lacks comes from other sensors, from gravity (roll, pitch), from the DVL (velocity) and from the
+    settings (heading, position), each with a note. Started level or by an AHRS, the reference gives the position alone.
     """
-    notes: list[Note] = []
+    imu, reference, initial, notes = dive.imu, dive.reference, config.initial, list[Note]()
+    used_ns, is_located = dict[str, int](), reference is not None and reference.has_position
+    moving = reference if initial.source == "reference" else None
+    posed = moving if moving is not None and moving.has_attitude else None
+    heading_deg = initial.heading_deg if isinstance(initial.heading_deg, float | int) else None
+    sensed_mat_nb, is_heading_sensed, fix = None, False, None
+
+    # Other sensors: a whole attitude where it is asked for; heading and position where they are open.
+    if initial.source == BY_SENSOR:
+        is_heading_sensed = heading_deg is None
+        start_ns, sensed_mat_nb, note = _sensor_attitude(dive.sensors["heading"], heading_deg, start_ns, end_ns)
+        level_deg, sd_deg = config.heading.level_sd_deg, config.heading.sd_deg if is_heading_sensed else 0.0
+        initial = _no_surer(initial, level_deg, sd_deg)
+        notes.append(note)
+    elif posed is None and "heading" in dive.sensors and initial.heading_deg in (None, BY_SENSOR):
+        values, used_ns["heading"], away_s = _nearest(dive.sensors["heading"], start_ns)
+        if away_s > FAR_S:
+            raise LogError(
+                f"the reading of the heading that is nearest to the start is {away_s:.1f} s away",
+                "--start where there is one, or --set initial.heading_deg=...",
+            )
+        heading_deg, is_heading_sensed = float(values[0]) / DEG % 360.0, True
+        initial = _no_surer(changed(initial, heading_deg=heading_deg), 0.0, config.heading.sd_deg)
+        text = f"heading at the start {heading_deg:.2f} deg, of the sensor's reading {away_s:.2f} s away"
+        notes.append(Note("start_heading_sensor", text))
+    if not is_located and "position" in dive.sensors and initial.latitude_deg is None:
+        fix, used_ns["position"], away_s = _nearest(dive.sensors["position"], start_ns)
+        severity = Severity.WARNING if away_s > FAR_S else Severity.INFO
+        text = f"position at the start by the fix {away_s:.2f} s away"
+        notes.append(Note("start_position_sensor", text, severity=severity))
+        if np.isnan(fix[2]):
+            notes.append(_configured_height_note(initial))
+        (latitude, longitude, height_m), sd_m = fix.tolist(), config.position.sd_m
+        north_m, east_m, down_m = initial.position_sd_m
+        initial = changed(
+            initial,
+            latitude_deg=latitude / DEG,
+            longitude_deg=longitude / DEG,
+            height_m=initial.height_m if np.isnan(height_m) else height_m,
+            position_sd_m=(max(north_m, sd_m), max(east_m, sd_m), down_m),
+        )
     check_start(
         initial,
         has_reference=reference is not None,
-        has_position=reference is not None and reference.has_position,
+        has_position=is_located,
         has_attitude=reference is not None and reference.has_attitude,
         has_heading=sensed_mat_nb is not None,
     )
-    moving = reference if initial.source == "reference" else None
-    posed = moving if moving is not None and moving.has_attitude else None
+
+    # Time and position.
     if posed is not None:
         start_ns = _first_attitude_ns(posed, start_ns, end_ns)
-    position = start_position(reference, initial, start_ns, notes, is_fix=is_fix)
-    level = None
+    if reference is not None and is_located:
+        position, found = _reference_position(reference, initial, start_ns)
+        notes += found
+    else:
+        latitude_deg = _latitude_deg(initial)
+        position = np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
+        if fix is None:
+            text = f"started at the configured latitude {latitude_deg:g} deg"
+            notes.append(Note("start_position_configured", text))
+
+    # Attitude.
+    arm_b = np.array(config.dvl.lever_arm_m)
+    accel_bias_b, gyro_bias_b = np.array(initial.accel_bias_mg) * MG, np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
+    level, samples = None, levelling_samples(imu, start_ns)
     if posed is not None:
         mat_nb = posed.mat_nb[np.searchsorted(posed.time_ns, start_ns)]
-    elif sensed_mat_nb is not None and len(levelling_samples(imu, start_ns).time_ns) < FEWEST_SAMPLES:
+    elif sensed_mat_nb is not None and len(samples.time_ns) < FEWEST_SAMPLES:
         mat_nb = sensed_mat_nb
     else:
-        heading = _heading(initial, sensed_mat_nb)
-        level = _level(imu, velocities, noise, initial, lever_arm_b, start_ns, heading, float(position[0]))
+        if len(samples.time_ns) < FEWEST_SAMPLES:
+            raise LogError(
+                f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the "
+                "start, too few to find the level",
+                "choose another --start",
+            )
+        if sensed_mat_nb is None and heading_deg is None:
+            raise ValueError("the heading is still to be fitted: run.prepare_with_heading does it")
+        heading = (heading_deg or 0.0) * DEG if sensed_mat_nb is None else float(rpy_from_mat(sensed_mat_nb)[2])
+        unbiased = replace(
+            samples,
+            specific_force_b=samples.specific_force_b - accel_bias_b,
+            angular_rate_b=samples.angular_rate_b - gyro_bias_b,
+        )
+        noise = resolve_filters(config)[0].sensor_noise(velocities)
+        level = find_level(unbiased, velocities, noise, arm_b, start_ns, heading=heading, latitude=float(position[0]))
         mat_nb = mat_from_rpy(np.array([*level.roll_pitch, heading])) if sensed_mat_nb is None else sensed_mat_nb
-    velocity_n = _reference_velocity(moving, start_ns)
-    by_dvl_n = None
-    if velocity_n is None:
-        velocity_b, note = _dvl_velocity(imu, velocities, level, initial, mat_nb, lever_arm_b, start_ns, position)
-        velocity_n = by_dvl_n = mat_nb @ velocity_b
-        notes.append(note)
-    cov = start_cov(initial_sd(initial), mat_nb, level if sensed_mat_nb is None else None, by_dvl_n)
+
+    # Velocity: the reference's, else that of the nearest ping; after levelling, of the first, carried to the start.
+    velocity_n, dvl_velocity_n = None, None
+    if moving is not None and apart_s(moving.time_ns, moving.velocity_n, np.array([start_ns]))[0] <= FAR_S:
+        velocity_n = at_time(moving.time_ns, moving.velocity_n, start_ns)
+    else:
+        if level is not None and level.pings:
+            velocity_b = level.velocity_b
+            away_s = float(seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0])
+        else:
+            nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
+            ping_ns = int(velocities.time_ns[nearest])
+            rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, ping_ns) - gyro_bias_b
+            rate_eb_b = rate_ib_b - mat_nb.T @ earth_rate_n(position[0])
+            velocity_b, away_s = (
+                velocities.velocity_b[nearest] - np.cross(rate_eb_b, arm_b),
+                abs(ping_ns - start_ns) * 1e-9,
+            )
+        velocity_n = dvl_velocity_n = mat_nb @ velocity_b
+        notes.append(Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {away_s:.2f} s away"))
+    cov = start_cov(initial_sd(initial), mat_nb, level if sensed_mat_nb is None else None, dvl_velocity_n)
+
+    # What does not fit together. A configured height stays; the rest of a fix moves from the antenna to the IMU.
     if level is not None:
         notes += _level_notes(level, mat_nb, cov) if sensed_mat_nb is None else _tilt_notes(level, mat_nb)
-    notes += _heading_notes(reference, mat_nb, start_ns) if posed is None else _idle_heading_notes(initial, mat_nb)
-    start = Start(position, velocity_n, mat_nb, cov, _accel_bias_b(initial), _gyro_bias_b(initial))
-    return Alignment(start_ns, start, tuple(notes))
+    if posed is None:
+        notes += _heading_notes(reference, mat_nb, start_ns)
+    elif heading_deg is not None:
+        theirs = rpy_from_mat(mat_nb)[2]
+        if abs(float(wrap_angle(np.asarray(heading_deg * DEG - theirs)))) > IDLE_HEADING_DOUBT:
+            hint = 'leave initial.heading_deg out, or initial.source = "level" to start from it'
+            shown = f"{theirs / DEG % 360.0:.1f} deg"
+            notes.append(_idle_note("start_heading_idle", "heading_deg", heading_deg, shown, hint))
+    if fix is not None:
+        moved = moved_position(position, -(mat_nb @ np.array(config.position.lever_arm_m)))
+        position = np.where(np.isfinite(fix), moved, position)
+    start = Start(position, velocity_n, mat_nb, cov, accel_bias_b, gyro_bias_b, is_heading_sensed=is_heading_sensed)
+    return Alignment(start_ns, start, tuple(notes), initial, used_ns)
 
 
 def check_start(
     initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool, has_heading: bool = False
 ) -> None:
-    """Refuse settings that leave open where or how a filter starts, by what a reference gives, or a sensor.
-
-    Raises
-    ------
-    LogError
-        A reference is wanted, and there is none.
-    ConfigError
-        Heading or latitude are needed and not configured.
-    """
+    """Refuse settings that leave open where or how a filter starts, by what a reference gives, or a sensor."""
     from_reference = initial.source == "reference"
     if from_reference and not has_reference:
         raise LogError(
@@ -128,7 +209,7 @@ def check_start(
             "the log has an AHRS, from its attitude: --set initial.source=sensor --set initial.latitude_deg=...",
         )
     if not has_position:
-        configured_latitude_deg(initial)
+        _latitude_deg(initial)
     if not (has_heading or (from_reference and has_attitude)) and initial.heading_deg is None:
         by_track = ", or fit, by the track of its positions" if has_position else ""
         raise ConfigError(
@@ -137,21 +218,17 @@ def check_start(
         )
 
 
-def _heading(initial: Initial, sensed_mat_nb: Floats | None) -> float:
-    if sensed_mat_nb is not None:
-        return float(rpy_from_mat(sensed_mat_nb)[2])
-    if not isinstance(initial.heading_deg, float | int):
-        raise ValueError("the heading is still to be fitted: start_heading.prepare_with_heading does it")
-    return initial.heading_deg * DEG
+def _latitude_deg(initial: Initial) -> float:
+    if initial.latitude_deg is None:
+        raise ConfigError(
+            "the latitude is needed for gravity and Earth rate, and no reference gives it",
+            "--set initial.latitude_deg=...",
+        )
+    return initial.latitude_deg
 
 
 def initial_sd(initial: Initial) -> Floats:
-    """Return the initial standard deviations of the 12 error states.
-
-    Returns
-    -------
-    ndarray, shape (12,), SI units
-    """
+    """Return the initial standard deviations of the 12 error states, shape (12,), SI units."""
     sd = np.empty(12)
     sd[DV] = initial.velocity_sd_mps
     sd[PHI] = np.array(initial.misalignment_sd_deg) * DEG
@@ -160,10 +237,51 @@ def initial_sd(initial: Initial) -> Floats:
     return sd
 
 
+def _no_surer(initial: Initial, level_deg: float, heading_deg: float) -> Initial:
+    """Widen the configured standard deviations of roll, pitch and heading to those of a sensor."""
+    north_deg, east_deg, down_deg = initial.misalignment_sd_deg
+    sd_deg = max(north_deg, level_deg), max(east_deg, level_deg), max(down_deg, heading_deg)
+    return changed(initial, misalignment_sd_deg=sd_deg)
+
+
+def _sensor_attitude(
+    readings: SensorColumns, heading_deg: float | None, start_ns: int, end_ns: int
+) -> tuple[int, Floats, Note]:
+    """Return time and value of the AHRS's first attitude in the span; a configured heading replaces its own."""
+    if readings.mat_nb is None:
+        raise LogError(
+            'initial.source is "sensor", and the messages of the heading hold no roll and pitch',
+            "name heading.roll and heading.pitch, or start level: --set initial.source=level",
+        )
+    inside = (readings.time_ns >= start_ns) & (readings.time_ns < end_ns)
+    rows = np.flatnonzero(inside & np.isfinite(readings.mat_nb).all(axis=(1, 2)))
+    if not rows.size:
+        raise LogError(
+            "the sensor of the heading gives no attitude between the first and the last IMU sample of the span",
+            "check heading.stamp against imu.stamp, or widen --start and --end",
+        )
+    mat_nb, first_ns = readings.mat_nb[rows[0]], int(readings.time_ns[rows[0]])
+    roll, pitch, heading = rpy_from_mat(mat_nb)
+    if heading_deg is not None:
+        heading = heading_deg * DEG
+        mat_nb = mat_from_rpy(np.array([roll, pitch, heading]))
+    text = (
+        f"roll {roll / DEG:.2f} deg and pitch {pitch / DEG:.2f} deg of the sensor's first attitude, "
+        f"{(first_ns - start_ns) / NS_PER_S:.2f} s into the span, at a heading of {heading / DEG % 360.0:.2f} deg"
+    )
+    return first_ns, mat_nb, Note("start_attitude_sensor", text)
+
+
+def _nearest(readings: SensorColumns, start_ns: int) -> tuple[Floats, int, float]:
+    """Return the reading nearest to the start, its time, ns, and how far it is away, s."""
+    row = int(np.argmin(np.abs(readings.time_ns - start_ns)))
+    time_ns = int(readings.time_ns[row])
+    return readings.values[row], time_ns, abs(time_ns - start_ns) / NS_PER_S
+
+
 def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) -> int:
     """Find the first attitude in the span, if possible one that has a position near it."""
-    has_attitude = np.isfinite(reference.mat_nb).all(axis=(1, 2))
-    inside = has_attitude & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
+    inside = reference.known["attitudes"] & (reference.time_ns >= start_ns) & (reference.time_ns < end_ns)
     located = inside & (apart_s(reference.time_ns, reference.position[:, :2], reference.time_ns) <= FAR_S)
     inside = located if located.any() else inside
     if not inside.any():
@@ -174,37 +292,48 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     return int(reference.time_ns[np.argmax(inside)])
 
 
-def _level(
-    imu: ImuColumns,
-    velocities: DvlVelocities,
-    noise: SensorNoise,
-    initial: Initial,
-    lever_arm_b: Floats,
-    start_ns: int,
-    heading: float,
-    latitude: float,
-) -> Level:
-    """Find the level, by readings without the configured biases."""
-    samples = levelling_samples(imu, start_ns)
-    if len(samples.time_ns) < FEWEST_SAMPLES:
-        raise LogError(
-            f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the start, "
-            "too few to find the level",
-            "choose another --start",
-        )
-    unbiased = replace(
-        samples,
-        specific_force_b=samples.specific_force_b - _accel_bias_b(initial),
-        angular_rate_b=samples.angular_rate_b - _gyro_bias_b(initial),
-    )
-    return find_level(unbiased, velocities, noise, lever_arm_b, start_ns, heading=heading, latitude=latitude)
+def _reference_position(reference: ReferenceColumns, initial: Initial, start_ns: int) -> tuple[Floats, list[Note]]:
+    """Interpolate the reference's position at the start; its height may be missing."""
+    horizontal, height_m = reference.position[:, :2].copy(), reference.position[:, 2:]
+    first_longitude = horizontal[np.argmax(np.isfinite(horizontal).all(axis=1)), 1]
+    horizontal[:, 1] = wrap_angle(horizontal[:, 1] - first_longitude)  # so that 180 deg lies between no two rows
+    latitude, longitude = at_time(reference.time_ns, horizontal, start_ns)
+    quantities, notes = {"position": horizontal}, list[Note]()
+    if np.isfinite(height_m).any():
+        start_height_m = at_time(reference.time_ns, height_m, start_ns)[0]
+        quantities["height"] = height_m
+    else:
+        start_height_m = initial.height_m
+        notes.append(_configured_height_note(initial))
+    for quantity, values in quantities.items():
+        far_s = float(apart_s(reference.time_ns, values, np.array([start_ns]))[0])
+        if far_s > FAR_S:
+            text = f"the {quantity} at the start is the reference's {far_s:.1f} s away from it, and is off by as much"
+            hint = f"--start near the reference's {quantity}s"
+            notes.append(Note(f"start_{quantity}_far", text, severity=Severity.WARNING, hint=hint))
+            break
+    latitude_deg = float(latitude) / DEG
+    if initial.latitude_deg is not None and abs(initial.latitude_deg - latitude_deg) > LATITUDE_DOUBT_DEG:
+        hint = "leave initial.latitude_deg out, or name another reference.topic or reference.fix"
+        shown = f"{latitude_deg:.4g} deg"
+        notes.append(_idle_note("start_latitude_contradiction", "latitude_deg", initial.latitude_deg, shown, hint))
+    return np.array([latitude, float(wrap_angle(longitude + first_longitude)), start_height_m]), notes
+
+
+def _configured_height_note(initial: Initial) -> Note:
+    return Note("start_height_configured", f"started at the configured height {initial.height_m:g} m")
+
+
+def _idle_note(code: str, key: str, configured: float, theirs: str, hint: str) -> Note:
+    text = f"initial.{key} is {configured:g}, but the reference starts at {theirs}, which counts"
+    return Note(code, text, severity=Severity.WARNING, hint=hint)
 
 
 def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns: int) -> list[Note]:
-    """Hold the configured heading against the reference's, where one is near enough to the start."""
+    """Compare the heading with the reference's, where one is near enough to the start."""
     if reference is None or not reference.has_attitude:
         return []
-    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)))
+    rows = np.flatnonzero(reference.known["attitudes"])
     row = rows[np.argmin(np.abs(reference.time_ns[rows] - start_ns))]
     if abs(seconds(reference.time_ns[row : row + 1], start_ns)[0]) > FAR_S:
         return []
@@ -214,18 +343,6 @@ def _heading_notes(reference: ReferenceColumns | None, mat_nb: Floats, start_ns:
     ours_deg, theirs_deg = ours / DEG % 360.0, theirs / DEG % 360.0
     text = f"the heading of {ours_deg:.0f} deg at the start contradicts the reference, which has {theirs_deg:.0f} deg"
     return [Note("start_heading_contradiction", text, 1, Severity.WARNING, f"initial.heading_deg = {theirs_deg:.1f}")]
-
-
-def _idle_heading_notes(initial: Initial, mat_nb: Floats) -> list[Note]:
-    """State that a heading is configured in vain, where it is another than that of the reference's attitude."""
-    if not isinstance(initial.heading_deg, float | int):
-        return []
-    theirs = rpy_from_mat(mat_nb)[2]
-    if abs(float(wrap_angle(np.asarray(initial.heading_deg * DEG - theirs)))) <= IDLE_HEADING_DOUBT:
-        return []
-    hint = 'leave initial.heading_deg out, or initial.source = "level" to start from it'
-    shown = f"{theirs / DEG % 360.0:.1f} deg"
-    return [idle_note("start_heading_idle", "heading_deg", initial.heading_deg, shown, hint)]
 
 
 def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
@@ -249,55 +366,15 @@ def _level_notes(level: Level, mat_nb: Floats, cov: Floats) -> list[Note]:
 
 
 def _tilt_notes(level: Level, mat_nb: Floats) -> list[Note]:
-    """Hold the roll and pitch of a sensor against gravity, where the DVL took the vehicle's own acceleration off."""
-    felt, said = level.gravity_b / np.linalg.norm(level.gravity_b), mat_nb[2]
-    tilt = np.arctan2(np.linalg.norm(np.cross(felt, said)), felt @ said)
+    """Compare a sensor's roll and pitch with gravity, where the DVL took the vehicle's own acceleration off."""
+    measured, sensed = level.gravity_b / np.linalg.norm(level.gravity_b), mat_nb[2]
+    tilt = np.arctan2(np.linalg.norm(np.cross(measured, sensed)), measured @ sensed)
     if not level.pings or tilt <= TILT_DOUBT:
         return []
-    felt_deg, said_deg = np.array(level.roll_pitch) / DEG, rpy_from_mat(mat_nb)[:2] / DEG
+    measured_deg, sensed_deg = np.array(level.roll_pitch) / DEG, rpy_from_mat(mat_nb)[:2] / DEG
     text = (
-        f"the sensor's roll and pitch of {said_deg[0]:.1f} and {said_deg[1]:.1f} deg at the start contradict gravity, "
-        f"which says {felt_deg[0]:.1f} and {felt_deg[1]:.1f} deg"
+        f"the sensor's roll and pitch of {sensed_deg[0]:.1f} and {sensed_deg[1]:.1f} deg at the start contradict "
+        f"gravity, which says {measured_deg[0]:.1f} and {measured_deg[1]:.1f} deg"
     )
     hint = 'heading.axes, heading.mounting_rpy_deg, or initial.source = "level"'
     return [Note("start_tilt_contradiction", text, 1, Severity.WARNING, hint)]
-
-
-def _reference_velocity(reference: ReferenceColumns | None, start_ns: int) -> Floats | None:
-    if reference is None or apart_s(reference.time_ns, reference.velocity_n, np.array([start_ns]))[0] > FAR_S:
-        return None
-    return at_time(reference.time_ns, reference.velocity_n, start_ns)
-
-
-def _dvl_velocity(
-    imu: ImuColumns,
-    velocities: DvlVelocities,
-    level: Level | None,
-    initial: Initial,
-    mat_nb: Floats,
-    lever_arm_b: Floats,
-    start_ns: int,
-    position: Floats,
-) -> tuple[Floats, Note]:
-    """Return the IMU's velocity in b, of the nearest ping; after levelling, of the first, and carried to the start."""
-    if level is not None and level.pings:
-        away_s = seconds(velocities.time_ns[velocities.time_ns >= start_ns][:1], start_ns)[0]
-        return level.velocity_b, _dvl_note(away_s)
-    nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
-    rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, int(velocities.time_ns[nearest])) - _gyro_bias_b(initial)
-    rate_eb_b = rate_ib_b - mat_nb.T @ earth_rate_n(position[0])
-    away_s = abs(int(velocities.time_ns[nearest]) - start_ns) * 1e-9
-    velocity_b: Floats = velocities.velocity_b[nearest] - np.cross(rate_eb_b, lever_arm_b)
-    return velocity_b, _dvl_note(away_s)
-
-
-def _dvl_note(away_s: float) -> Note:
-    return Note("start_velocity_dvl", f"velocity at the start from the DVL's ping {away_s:.2f} s away")
-
-
-def _accel_bias_b(initial: Initial) -> Floats:
-    return np.array(initial.accel_bias_mg) * MG
-
-
-def _gyro_bias_b(initial: Initial) -> Floats:
-    return np.array(initial.gyro_bias_degph) * DEG_PER_HOUR

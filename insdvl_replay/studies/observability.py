@@ -30,10 +30,8 @@ from insdvl_replay.nav.observability import (
     whitened_rows,
 )
 from insdvl_replay.preparation.filters import resolve_filter
-from insdvl_replay.preparation.prepared import Prepared, with_reference_at_imu
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.running import prepared_timeline, run_one
-from insdvl_replay.preparation.start_heading import prepare_with_heading
+from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
 from insdvl_replay.studies.observability_document import (

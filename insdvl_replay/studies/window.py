@@ -19,9 +19,8 @@ from insdvl_replay.evaluation.errors import acceleration_at, differentiated_over
 from insdvl_replay.geometry.frames import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.nav.timeline import Gaps
-from insdvl_replay.preparation.prepared import reference_as_configured
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.start_heading import prepare_with_heading
+from insdvl_replay.preparation.prepared import read_checked_dive, reference_as_configured
+from insdvl_replay.preparation.run import prepare_with_heading
 from insdvl_replay.studies.study_report import StudyReport, write_study
 from insdvl_replay.studies.window_document import window_display, window_figure, window_sentences
 

@@ -17,7 +17,7 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, Refere
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
-from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.logs import write_dive
-from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.sim.dive import START_NS, exact_dive
 
 SECOND = 1_000_000_000

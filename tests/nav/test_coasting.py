@@ -21,7 +21,7 @@ from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.outage import coast, restart
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters, run_one
+from insdvl_replay.preparation.run import coasting_of, coasting_plan, prepared_timeline, run_filters, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.studies.simulated_run import make_setup, run_seed
 
@@ -307,7 +307,7 @@ def test_windows_on_a_long_dive_run_in_threads_and_are_the_same(monkeypatch: pyt
     timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
     histories = run_filters(start, timeline, cov_ns=plan.start_ns)
     in_turn = coasting_of(dive, config, start, timeline, histories, plan)
-    monkeypatch.setattr("insdvl_replay.preparation.running.WORTH_A_THREAD", 0)
+    monkeypatch.setattr("insdvl_replay.preparation.run.WORTH_A_THREAD", 0)
     threaded = coasting_of(dive, config, start, timeline, histories, plan)
     assert list(threaded.runs) == [filter_.name for filter_ in start.filters]
     for name, runs in in_turn.runs.items():

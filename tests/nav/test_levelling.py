@@ -22,7 +22,6 @@ from insdvl_replay.logs import read_dive
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import UNSEEN_MPS2
 from insdvl_replay.preparation.alignment import Alignment, align
-from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
@@ -59,10 +58,9 @@ def exact(motion: str, **options: float) -> Dive:
 
 
 def levelled(dive: Dive, config: Config) -> Alignment:
-    velocities = dvl_velocities(dive.dvl)
-    noise = resolve_filters(config)[0].sensor_noise(velocities)
+    config = msgspec.structs.replace(config, dvl=msgspec.structs.replace(config.dvl, lever_arm_m=ARM))
     end_ns = int(dive.imu.time_ns[-1])
-    return align(dive.imu, velocities, noise, None, config.initial, np.array(ARM), START_NS, end_ns)
+    return align(replace(dive, reference=None), config, dvl_velocities(dive.dvl), START_NS, end_ns)
 
 
 def start_errors(dive: Dive, found: Alignment) -> Floats:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.config import Config, Initial, Vector
+from insdvl_replay.core.config import Config, Dvl, Initial, Vector
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import ConfigError, LogError
@@ -18,7 +18,6 @@ from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import LEVELLING_S
 from insdvl_replay.preparation.alignment import Alignment, align, initial_sd
-from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import FIRST_PING_S, START_NS, exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS, Trajectory
@@ -44,10 +43,9 @@ def aligned(
     start_s: float = 0.0,
     lever_arm_m: Vector = (0.0, 0.0, 0.0),
 ) -> Alignment:
-    velocities, config = dvl_velocities(dive.dvl), Config()
-    noise = resolve_filters(config)[0].sensor_noise(velocities)
+    config = Config(initial=initial, dvl=Dvl(lever_arm_m=lever_arm_m))
     start_ns, end_ns = START_NS + round(start_s * SECOND), int(dive.imu.time_ns[-1])
-    return align(dive.imu, velocities, noise, reference, initial, np.array(lever_arm_m), start_ns, end_ns)
+    return align(replace(dive, reference=reference), config, dvl_velocities(dive.dvl), start_ns, end_ns)
 
 
 def rows(reference: ReferenceColumns, keep: slice) -> ReferenceColumns:

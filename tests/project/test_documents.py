@@ -149,16 +149,10 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     modules = {name.removeprefix("insdvl_replay.") for name in found}
     # They hand settings, gaps, readings and states to the mathematics, a start to the filter, results to the history.
     without = {
-        "preparation.own_code",
-        "preparation.own_measurements",
-        "preparation.sensors",
-        "preparation.solutions",
-        "preparation.start_by_sensors",
-        "preparation.start_position",
-        "nav.user_measurement",
+        "preparation.plugins",
         "preparation.filters",
-        "preparation.running",
-        "preparation.reading",
+        "preparation.solutions",
+        "nav.user_measurement",
     }
     named = {".".join(function.split(".")[:2]) for entry in equations() for function in entry.functions}
     assert modules - without == {name for name in named if name.startswith(("nav.", "preparation."))}

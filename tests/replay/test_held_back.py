@@ -17,9 +17,8 @@ from insdvl_replay.core.words import Judgement
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.nav.measurements import OWN, Measurement, sensor_measurement
 from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
-from insdvl_replay.preparation.own_measurements import given_dive, in_outages
-from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.plugins import given_dive, in_outages
+from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
@@ -235,7 +234,7 @@ def test_readings_in_an_outage_are_those_of_a_dive_that_ends_with_it(
     dive: Dive, monkeypatch: pytest.MonkeyPatch, user_code: type[Copy], calls: int
 ) -> None:
     """Seven outages take a call for the one alone, and four for the six in one group, if the code allows."""
-    monkeypatch.setattr("insdvl_replay.preparation.own_measurements.APART_NS", 2 * NS_PER_S)
+    monkeypatch.setattr("insdvl_replay.preparation.plugins.APART_NS", 2 * NS_PER_S)
     monkeypatch.setattr(user_code, "dives", count())
     found = dict(measured_in_outages(f"{HERE}:{user_code.__name__}", dive, Config()))
     assert next(user_code.dives) == calls

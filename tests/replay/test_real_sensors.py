@@ -12,7 +12,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive
-from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import Replay, replay_log
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -176,7 +176,7 @@ def test_same_dive_gives_the_same_tables(straight: Dive) -> None:
 @pytest.mark.parametrize("samples", [0, 10**9])
 def test_filters_in_threads_give_the_same_tables(samples: int, straight: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     as_it_comes = replay_dive(straight, config())
-    monkeypatch.setattr("insdvl_replay.preparation.running.WORTH_A_THREAD", samples)
+    monkeypatch.setattr("insdvl_replay.preparation.run.WORTH_A_THREAD", samples)
     assert_same(replay_dive(straight, config()), as_it_comes)
 
 

@@ -15,7 +15,7 @@ from insdvl_replay import replay
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.preparation.reading import read_checked_dive
+from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -118,11 +118,9 @@ def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monke
     assert beside_peak - alone_peak < (128 + 96) * count
 
 
-def test_a_solution_is_let_go_once_it_is_told_at_the_filters_times(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_solution_is_let_go_before_the_tables_are_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     paths, _ = with_odometry(tmp_path, SHORT_S)
-    columns, run = list[Callable[[], Any]](), replay.run_from_drawn_starts
+    columns, make_tables = list[Callable[[], Any]](), replay.tables_of_filters
 
     def watched(*arguments: Any, **options: Any) -> Dive:
         dive = read_checked_dive(*arguments, **options)
@@ -130,11 +128,11 @@ def test_a_solution_is_let_go_once_it_is_told_at_the_filters_times(
         columns.extend(weakref.ref(column) for column in (solution.way_n, solution.cov, solution.motion.mat_nb))
         return dive
 
-    def run_from(*arguments: Any, **options: Any) -> Any:
+    def tables_of(*arguments: Any, **options: Any) -> Any:
         assert [alive() for alive in columns] == [None, None, None]
-        return run(*arguments, **options)
+        return make_tables(*arguments, **options)
 
     monkeypatch.setattr(replay, "read_checked_dive", watched)
-    monkeypatch.setattr(replay, "run_from_drawn_starts", run_from)
+    monkeypatch.setattr(replay, "tables_of_filters", tables_of)
     found = replay.replay_log(paths, settings(onboard=Filter(solution="/odometry")))
     assert found.tables.jumps[0].steps > 0

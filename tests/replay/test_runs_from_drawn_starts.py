@@ -16,9 +16,8 @@ from insdvl_replay.core.states import PHI
 from insdvl_replay.evaluation.convergence import measured_convergences
 from insdvl_replay.evaluation.errors import DrawnErrors, reference_errors, squared_errors
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.running import prepared_timeline, run_filters, run_from_drawn_starts
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.run import prepared_timeline, run_filters, run_from_drawn_starts
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.simulated_run import matched_errors
 
@@ -112,8 +111,8 @@ def test_one_start_converges_from_nothing(exact: Dive) -> None:
 def test_long_dives_are_run_in_part_at_some_of_the_times(exact: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     dive, start = prepared_world(exact, config_with(), 1)
     whole = run_from_drawn_starts(dive, start, 4)[0]
-    monkeypatch.setattr("insdvl_replay.preparation.running.MOST_DRAWN_SAMPLES", 4 * 3000)
-    monkeypatch.setattr("insdvl_replay.preparation.running.MOST_DRAWN_TIMES", 100)
+    monkeypatch.setattr("insdvl_replay.preparation.run.MOST_DRAWN_SAMPLES", 4 * 3000)
+    monkeypatch.setattr("insdvl_replay.preparation.run.MOST_DRAWN_TIMES", 100)
     part = run_from_drawn_starts(dive, start, 4)[0]
     assert 50 < len(part.time_s) <= 100
     assert 59.0 < part.time_s[-1] < 60.1

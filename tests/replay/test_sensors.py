@@ -23,7 +23,7 @@ from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.running import prepared_timeline, run_one
+from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.results.filter_figures import Clock, nis_figure
 from insdvl_replay.sim.dive import simulate_dive

@@ -8,9 +8,8 @@ import pytest
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.outage_test import window_ends
-from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_imu
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.running import coasting_of, coasting_plan, prepared_timeline, run_filters
+from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.run import coasting_of, coasting_plan, prepared_timeline, run_filters
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
 RUNS = ("01", "02", "05", "07", "08", "09", "11", "12")

@@ -23,10 +23,9 @@ from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.solutions import no_covariances
 from insdvl_replay.logs.writing.dive_log import write_dive
 from insdvl_replay.nav.levelling import drawn_starts
-from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.reading import read_checked_dive
-from insdvl_replay.preparation.running import prepared_timeline, run_one
-from insdvl_replay.preparation.solutions import read_solutions
+from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
+from insdvl_replay.preparation.run import prepared_timeline, run_one
+from insdvl_replay.preparation.solutions import recorded_history
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -174,7 +173,8 @@ def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
     """Judge a solution by its errors, beside the baseline of another replay of the same dive."""
     assert dive.reference is not None
     judged_ns = dive.reference.time_ns[dive.reference.time_ns <= first.end_ns]
-    (history,), _, _ = read_solutions(dict(dive.solutions), settings.solutions, dive.imu, first.histories[0], judged_ns)
+    recorded, baseline = settings.solutions["onboard"], first.histories[0]
+    history, _, _ = recorded_history("onboard", dive.solutions["onboard"], recorded, dive.imu, baseline, judged_ns)
     errors = state_errors(history, dive.reference, None).after(first.start_ns)
     return credibility_of(credibility_table("dive", ["onboard"], {"onboard": errors}), "onboard")
 

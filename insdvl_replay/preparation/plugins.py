@@ -1,0 +1,342 @@
+"""User-defined measurements: imported, asked for their readings of a dive, and prepared like those of a sensor.
+
+They are given no data that is held back from the filters. A held-out sensor is absent from their dive. For the DVL
+outage test they are asked again, on a dive that ends with the outage and lacks its pings. A mistake in the user's code
+becomes a sentence; compiled code neither raises nor checks that a column of H exists, so H is tried once uncompiled.
+"""
+
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs
+from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
+from insdvl_replay.core.quantities import COMPONENTS
+from insdvl_replay.core.runtime import plain
+from insdvl_replay.core.states import states_with
+from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import moved_position
+from insdvl_replay.geometry.rotation import skew
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.nav.measurements import OWN, Measurement, sensor_measurement
+from insdvl_replay.nav.timeline import FIRST_OTHER
+from insdvl_replay.nav.user_measurement import (
+    INS_SIZE,
+    OwnMeasurement,
+    OwnReadings,
+    Predict,
+    checked_readings,
+    compiled_prediction,
+    joined,
+    load_own_measurement,
+)
+from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
+
+Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
+SHOWN: Final = "docs/own_measurement.md shows one"
+NO_END: Final = int(np.iinfo(np.int64).max)
+APART_NS: Final = 60 * NS_PER_S  # between two outages of one call: user code mostly looks back less
+ONE_BY_ONE: Final = 4  # outages that are asked for one by one; more take four calls, if the user's code allows
+ALIKE: Final = 1e-3  # in the noise of a reading: a network rounds otherwise with more pings at once
+DOWN, POSITION = 2, 12  # columns of H: the velocity down, and the first of the position
+# Steps of velocity m/s, misalignment rad, specific force m/s^2, angular rate rad/s and position m: far above rounding,
+# far below what bends.
+_STEPS: Final = (1e-5, 1e-6, 1e-5, 1e-7, 0.01)
+_TOLERANCE: Final = 0.1  # share by which an entry of H may differ from differences: it may be simplified
+_OUTSIDE: Final = ("math domain error", "expected ")  # errors of `math` outside a domain, up to Python 3.13 and later
+
+_T = TypeVar("_T")
+
+
+def prepare_own_measurements(
+    dive: Dive,
+    config: Config,
+    filters: Sequence[ResolvedFilter],
+    sensors: int,
+    start: Start,
+    start_ns: int,
+    end_ns: int,
+) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
+    """Prepare the measurements that filters name as ``module:Class``, without a gate.
+
+    Their rows of the time line follow those of so many ``sensors``. Each prediction is tried at the start.
+    """
+    words = dict.fromkeys(word for filter_ in filters for word in filter_.aiding if ":" in word)
+    found, predictions, compiled, notes = (
+        dict[str, Measurement](),
+        dict[str, Predict](),
+        dict[str, Predict](),
+        list[Note](),
+    )
+    for row, word in enumerate(words, start=FIRST_OTHER + sensors):
+        own, readings = _asked(word, dive, config)
+        readings = _inside(readings, [(start_ns, end_ns)])
+        if not len(readings.time_ns):
+            text = f"{word} has no reading between the start of the replay and its end"
+            raise ConfigError(text, "times are int64 ns")
+        holds_height = False
+        for filter_ in (filter_ for filter_ in filters if word in filter_.aiding):
+            holds_height, found_notes = _tried_prediction(word, own, readings.values.shape[1], filter_, start)
+            notes += found_notes
+        notes += silence_notes(own.name, readings.time_ns, start_ns, end_ns)
+        measurement = _measurement(own.name, own.unit, readings)
+        found[word] = replace(measurement, sensor=row, holds_height=holds_height)
+        predictions[word] = _uncompiled_prediction(word, own, SHOWN)
+        if (prediction := compiled_prediction(own.predict)) is not None:
+            compiled[word] = prediction
+    for filter_ in filters:
+        rows = dict[str, str]()
+        for word in (word for word in filter_.aiding if word in found):
+            if (other := rows.setdefault(found[word].name, word)) != word:
+                raise ConfigError(
+                    f"filters.{filter_.name} is aided by {other} and {word}, which both have a row "
+                    f"'{found[word].name}' in the tables",
+                    "give one of the two classes another name",
+                )
+    # Each prediction has a number, by which one function calls it. Compiled ones have the first numbers: these stay
+    # the same where they run beside others that are not compiled.
+    order = sorted(words, key=lambda word: word not in compiled)
+    by_compiled = joined([*compiled.values()], compiled=True) if compiled else None
+    by_all = joined([predictions[word] for word in order], compiled=False) if len(compiled) < len(order) else None
+    for number, word in enumerate(order):
+        predict = by_compiled if word in compiled else by_all
+        found[word] = replace(found[word], kind=OWN + number, predict=predict)
+    uncompiled = [
+        Note(
+            "own_measurement_plain",
+            f"the prediction of {word} cannot be compiled, and runs as it is: the filter takes long",
+            severity=Severity.WARNING,
+            hint="numbers, loops and numpy's functions of numbers can be compiled",
+        )
+        for word in words
+        if word not in compiled
+    ]
+    return found, (*uncompiled, *dict.fromkeys(notes))
+
+
+# --- Readings.
+
+
+def _asked(
+    word: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
+) -> tuple[OwnMeasurement, OwnReadings]:
+    """Ask an object that is made for this call, so that it has kept nothing of another one."""
+    given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.withheld
+    topics = f"dive.topics has {listed(sorted(given.topics))}" if given.topics else "dive.topics is empty"
+    hint = f"{topics}; a section [topics.NAME] adds one"
+    if held_out:
+        hint += f"; the {listed(held_out)} is held out (evaluation.withheld), with all that may be made of it"
+    try:
+        own = load_own_measurement(word)
+        readings = _called(word, own, "readings(self, dive)", lambda: own.readings(given), hint)
+        if not isinstance(readings, OwnReadings):
+            raise ConfigError(f"{word}: readings(self, dive) gives {type(readings).__name__}, not OwnReadings", SHOWN)
+        return own, checked_readings(readings)
+    except ValueError as error:
+        raise ConfigError(f"{word} {error}", f"{SHOWN}; PYTHONPATH names the folder in which it lies") from error
+
+
+def _called(word: str, own: OwnMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
+    """Call code of the user's; what it raises becomes a ConfigError with file and line."""
+    try:
+        return call()
+    except UserError:
+        raise
+    except (Exception, SystemExit) as error:  # sys.exit would end the run without a word
+        file = getattr(sys.modules[type(own).__module__], "__file__", None)
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+        line = f" in line {lines[-1]} of {file}" if lines else ""
+        kind = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+        raise ConfigError(f"{word}: {what} fails{line}: {kind}", hint) from error
+
+
+def _measurement(name: str, unit: str, readings: OwnReadings) -> Measurement:
+    axes = COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else ()
+    return sensor_measurement(name, unit, OWN, readings.time_ns, readings.values, readings.sd, axes=axes)
+
+
+def _inside(readings: OwnReadings, spans: Sequence[tuple[int, int]]) -> OwnReadings:
+    """Keep the readings after the start of any of some spans and up to its end."""
+    inside = np.any([(readings.time_ns > start) & (readings.time_ns <= end) for start, end in spans], axis=0)
+    return OwnReadings(readings.time_ns[inside], readings.values[inside], readings.sd[inside])
+
+
+# --- Predictions.
+
+
+def _uncompiled_prediction(word: str, own: OwnMeasurement, hint: str) -> Predict:
+    """Return a prediction that runs as it is; where its arithmetic fails z is no number, as in compiled code."""
+    predict = plain(own.predict)
+
+    def as_compiled(ins: Floats, z: Floats, H: Floats) -> None:
+        try:
+            with np.errstate(all="ignore"):
+                predict(ins, z, H)
+        except (ArithmeticError, ValueError) as error:
+            if isinstance(error, ValueError) and not str(error).startswith(_OUTSIDE):
+                raise
+            z[:] = np.nan
+
+    return lambda ins, z, H: _called(word, own, "predict(ins, z, H)", lambda: as_compiled(ins, z, H), hint)
+
+
+def _tried_prediction(
+    word: str, own: OwnMeasurement, size: int, filter_: ResolvedFilter, start: Start
+) -> tuple[bool, list[Note]]:
+    """Predict a reading once where a filter starts; return whether it measures the velocity down, by half or more.
+
+    A note says where H contradicts z in an entry that is not zero, or is all zero, and where one component is not
+    written. There is none where z is no number at the start, as a direction is none at rest.
+    """
+    count, has_position = len(states_with(filter_.states)), "position" in filter_.states
+    lacks = "" if has_position else '; states = ["position"] gives it columns 12 to 14'
+    hint = f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count}){lacks}"
+    predict = _uncompiled_prediction(word, own, hint)
+
+    def predicted(error: Floats) -> tuple[Floats, Floats]:
+        """Return z and H of an INS that is off by an error, shape (15,), in the order of H, from a vehicle at rest."""
+        mat_nb, ins = start.mat_nb + skew(error[3:6]) @ start.mat_nb, np.empty(INS_SIZE)
+        ins[0:3], ins[3:6] = moved_position(start.position, error[12:15]), start.velocity_n + error[0:3]
+        force_b = start.mat_nb.T @ np.array([0.0, 0.0, -9.8]) + error[6:9]
+        ins[6:15], ins[15:18], ins[18:21] = mat_nb.ravel(), force_b, error[9:12]
+        z, H = np.zeros(size), np.zeros((size, count))
+        predict(ins, z, H)
+        return z, H
+
+    z, H = predicted(np.zeros(15))
+    if not np.isfinite(z).all():
+        return False, []
+    # H by central differences of z; zero for states that the user's code does not see.
+    differences = np.zeros((size, count))
+    for column in range(POSITION + 3 if has_position else POSITION):
+        step = np.zeros(15)
+        step[column] = _STEPS[column // 3]
+        with np.errstate(all="ignore"):
+            differences[:, column] = (predicted(step)[0] - predicted(-step)[0]) / (2.0 * step[column])
+
+    notes, hint = (
+        list[Note](),
+        "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs",
+    )
+    unwritten = np.flatnonzero((z == 0.0) & ~H.any(axis=1))
+    if len(unwritten) or not H.any():
+        left = f"z[{unwritten[0]}] and H[{unwritten[0]}]" if H.any() else "H"
+        text = f"{word} leaves {left} at zero where filters.{filter_.name} starts: its readings change nothing there"
+        notes.append(Note("own_measurement_jacobian", text, severity=Severity.WARNING, hint=hint))
+    known = np.isfinite(differences)
+    with np.errstate(invalid="ignore"):
+        largest = np.abs(differences).max(axis=1, initial=0.0, where=known, keepdims=True)
+        off = np.abs(H - differences) > _TOLERANCE * np.maximum(np.abs(H), 1e-3 * largest)
+    wrong = np.argwhere(off & (H != 0.0) & known & np.isfinite(H))
+    if len(wrong):
+        row, column = wrong[0]
+        text = (
+            f"H of {word} contradicts its z where filters.{filter_.name} starts: H[{row}, {column}] is "
+            f"{H[row, column]:.3g}, and z changes by {differences[row, column]:.3g}"
+        )
+        notes.append(Note("own_measurement_jacobian", text, len(wrong), Severity.WARNING, hint))
+    return bool(np.any(np.abs(H[:, DOWN]) > 0.5)), notes
+
+
+# --- What is held back.
+
+
+def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END) -> Dive:
+    """Return the dive that user code is given: up to a time, without held-out sensors and without pings in outages.
+
+    The reference and solutions may be made of either, and are absent with it. So are topics that carry it.
+    """
+    held_out = config.evaluation.withheld
+    if not (held_out or outages):
+        return dive
+    roles = {channel.topic: channel.role for channel in dive.channels}
+    carried = {name: topic.sensor or roles.get(topic.topic, "") for name, topic in config.topics.items()}
+    mixed = {name for name, role in carried.items() if role.startswith(("reference", "filters."))}
+
+    def known(time_ns: TimeNs, *, dvl: bool = True) -> NDArray[np.bool_]:
+        keep = time_ns <= end_ns
+        for before_ns, last_ns in outages if dvl else ():
+            keep &= (time_ns <= before_ns) | (time_ns > last_ns)
+        return np.asarray(keep)
+
+    reference = None if held_out else dive.reference
+    return replace(
+        dive,
+        imu=dive.imu.within(int(dive.imu.time_ns[0]), end_ns),
+        dvl=dive.dvl.rows(known(dive.dvl.time_ns)),
+        reference=None if reference is None else reference.rows(known(reference.time_ns)),
+        sensors={
+            name: columns.rows(known(columns.time_ns, dvl=False))
+            for name, columns in dive.sensors.items()
+            if name not in held_out
+        },
+        solutions={} if held_out else {name: columns.where(known) for name, columns in dive.solutions.items()},
+        topics={
+            name: columns.rows(known(columns.time_ns, dvl=name in mixed or carried.get(name) == "dvl"))
+            for name, columns in dive.topics.items()
+            if not held_out or (name not in mixed and carried.get(name) not in held_out)
+        },
+    )
+
+
+def in_outages(
+    dive: Dive, config: Config, sensors: dict[str, Measurement], outages: Sequence[Outage]
+) -> Iterator[tuple[Sequence[Outage], dict[str, Measurement]]]:
+    """Yield groups of outages with the sensors that aid filters there: user code makes its readings anew.
+
+    The outages of a group are far apart, so that one call serves all: a longer dive needs no more calls.
+    """
+    words = [word for word in sensors if ":" in word]
+    if not words:
+        yield outages, sensors
+        return
+    groups = list[list[Outage]]()
+    for outage in outages:
+        group = next((group for group in groups if outage[0] - group[-1][1] >= APART_NS), None)
+        if group is None:
+            groups.append(group := [])
+        group.append(outage)
+    for group in groups:
+        with error_context(dive.name, "in the DVL outage test"):
+            yield group, sensors | {word: _in_outages(word, sensors[word], dive, config, group) for word in words}
+
+
+def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outages: Sequence[Outage]) -> Measurement:
+    """Return the readings in outages, each as on a dive that ends with it and lacks its pings alone.
+
+    One call for all outages is enough if it gives the same in the first, the shortest and the last. It does not for
+    code that uses later data, or data from before the previous outage.
+    """
+
+    def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> OwnReadings:
+        readings = _inside(_asked(word, dive, config, outages, end_ns)[1], outages)
+        if (size := readings.values.shape[1]) != whole.size:
+            raise ConfigError(
+                f"{word} gives readings of {size} components in an outage, and of {whole.size} else", SHOWN
+            )
+        return readings
+
+    def is_same(together: OwnReadings, alone: OwnReadings) -> bool:
+        if not np.array_equal(together.time_ns, alone.time_ns):
+            return False
+        pairs = (together.values, alone.values), (together.sd, alone.sd)
+        return all(bool(np.all(np.abs(a - b) <= ALIKE * alone.sd)) for a, b in pairs)
+
+    alone = cache(lambda outage: asked([outage], outage[1]))
+    compared = outages[0], min(outages, key=lambda outage: outage[1] - outage[0]), outages[-1]
+    readings = asked(outages) if len(outages) > ONE_BY_ONE else None
+    if readings is None or not all(is_same(_inside(readings, [outage]), alone(outage)) for outage in compared):
+        parts = [alone(outage) for outage in outages]
+        columns = ([getattr(part, name) for part in parts] for name in ("time_ns", "values", "sd"))
+        readings = OwnReadings(*map(np.concatenate, columns))
+    measurement = _measurement(whole.name, whole.unit, readings)
+    return replace(
+        measurement, kind=whole.kind, sensor=whole.sensor, predict=whole.predict, holds_height=whole.holds_height
+    )

@@ -1,0 +1,401 @@
+"""The candidates of a prepared dive, run: over the whole of it, from drawn starts, and in windows without the DVL.
+
+A candidate is anything that turns a dive and a start into a trajectory, a `History`. What a history lacks is not
+judged: a covariance, innovations, runs from other starts, windows without the DVL. The compiled filter leaves the
+interpreter to other threads while it runs; on long dives each filter has a thread of its own.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final, Protocol, TypeVar
+
+import numpy as np
+from msgspec.structs import replace as changed
+
+from insdvl_replay.core.config import Config, Initial, Solution
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
+from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
+from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
+from insdvl_replay.core.states import DEG, DEG_PER_HOUR
+from insdvl_replay.evaluation.drift import HeadingFit, heading_fit
+from insdvl_replay.evaluation.errors import DrawnErrors, drawn_errors, run_from_start
+from insdvl_replay.evaluation.evaluate import judged_times, with_solutions
+from insdvl_replay.evaluation.outage_test import (
+    OutagePlan,
+    OutageRun,
+    OutageRuns,
+    distance_along_m,
+    outage_run,
+    plan_outages,
+)
+from insdvl_replay.geometry.frames import north_east_m
+from insdvl_replay.nav.dvl import parity_innovations
+from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
+from insdvl_replay.nav.outage import coast
+from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
+from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.plugins import in_outages
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive
+from insdvl_replay.preparation.solutions import recorded_history
+
+T = TypeVar("T")
+
+WORTH_A_THREAD = 20_000  # IMU samples from which filters run in threads; with fewer, threads cost what they save
+MOST_DRAWN_SAMPLES = 20_000_000  # IMU samples, in all runs from drawn starts together: three seconds of work
+MOST_DRAWN_TIMES = 5_000  # times of the reference at which the errors of each of these runs are kept
+
+
+@dataclass(frozen=True)
+class RunDive:
+    """A dive as candidates are given it."""
+
+    dive: Dive
+    prepared: Prepared
+    timeline: Timeline
+    cov_ns: TimeNs  # (c,) times at which a history is to hold all of P
+
+
+class Candidate(Protocol):
+    """Turns a dive and a start into a trajectory."""
+
+    @property
+    def name(self) -> str:
+        """As in the settings."""
+
+    def run(self, dive: RunDive, start: Start) -> History:
+        """Return the trajectory."""
+
+
+@dataclass(frozen=True)
+class BuiltInFilter:
+    """The tool's own filter, which starts where it is told, and goes on through windows without the DVL."""
+
+    settings: ResolvedFilter
+
+    @property
+    def name(self) -> str:
+        """As in the settings."""
+        return self.settings.name
+
+    def run(self, dive: RunDive, start: Start) -> History:
+        """Run the filter over the time line of the dive."""
+        begun = replace(dive.prepared, alignment=replace(dive.prepared.alignment, start=start))
+        return run_one(self.settings, begun, dive.timeline, cov_ns=dive.cov_ns)
+
+
+@dataclass
+class RecordedSolution:
+    """A solution of the log: it has one start, knows no other dive than its own, and is aligned with a baseline."""
+
+    name: str
+    settings: Solution
+    baseline: History
+    judged_ns: TimeNs  # (c,)
+    motion: ReferenceColumns | None = None  # each of its samples, aligned, once it was run
+    notes: tuple[Note, ...] = ()
+
+    def run(self, dive: RunDive, start: Start) -> History:
+        """Interpolate it at the times of the baseline."""
+        columns, imu = dive.dive.solutions[self.name], dive.dive.imu
+        history, self.motion, self.notes = recorded_history(
+            self.name, columns, self.settings, imu, self.baseline, self.judged_ns
+        )
+        return history
+
+
+@dataclass(frozen=True)
+class RunPlan:
+    """How the candidates of a dive are run."""
+
+    judged_ns: TimeNs  # (c,) times of the reference at which errors are judged by P
+    windows: OutagePlan  # without the DVL
+    starts: int  # from which each candidate runs, the dive's own among them; 0 without a reference
+    seed: int
+
+
+@dataclass(frozen=True)
+class Runs:
+    """What the candidates of a dive gave, the baseline first."""
+
+    histories: tuple[History, ...]
+    drawn: tuple[DrawnErrors, ...]  # from drawn starts; empty without a reference
+    coasts: OutageRuns  # in windows without the DVL, of those that can be run there
+    motions: dict[str, ReferenceColumns]  # of recorded solutions, by name: positions and velocities of each sample
+    notes: tuple[Note, ...]
+
+
+def plan_runs(dive: Dive, prepared: Prepared, config: Config) -> RunPlan:
+    """Choose the times at which errors are judged, the windows without the DVL, and the number of starts."""
+    span = prepared.alignment.start_ns, prepared.end_ns
+    starts = config.evaluation.starts if dive.reference is not None else 0
+    judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
+    return RunPlan(judged_ns, coasting_plan(prepared), starts, config.evaluation.seed)
+
+
+def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
+    """Run every candidate over the dive, then the filters through windows without the DVL and from drawn starts."""
+    report_stage("running the filters")
+    return_freed_memory()
+    timeline, start = prepared_timeline(dive, prepared), prepared.alignment.start
+    whole = RunDive(dive, prepared, timeline, np.union1d(plan.judged_ns, plan.windows.start_ns))
+    filters = [BuiltInFilter(filter_) for filter_ in prepared.filters]
+    histories = _side_by_side(timeline, lambda candidate: candidate.run(whole, start), filters)
+    recorded = [
+        RecordedSolution(name, settings, histories[0], plan.judged_ns) for name, settings in config.solutions.items()
+    ]
+    found = tuple(candidate.run(whole, start) for candidate in recorded)
+    coasts = coasting_of(dive, config, prepared, timeline, histories, plan.windows)
+    histories += found
+    drawn = run_from_drawn_starts(dive, prepared, plan.starts, plan.seed) if plan.starts else ()
+    motions = {candidate.name: candidate.motion for candidate in recorded if candidate.motion is not None}
+    notes = tuple(note for candidate in recorded for note in candidate.notes)
+    return Runs(histories, with_solutions(drawn, histories, dive), coasts, motions, notes)
+
+
+def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
+    """Run every filter over a dive, in the order of the settings; histories hold all of P at times, shape (c,)."""
+    report_stage("running the filters")
+    return _side_by_side(
+        timeline, partial(run_one, prepared=prepared, timeline=timeline, cov_ns=cov_ns), prepared.filters
+    )
+
+
+def _side_by_side(timeline: Timeline, work: Callable[..., T], *of_filters: Sequence[Any]) -> tuple[T, ...]:
+    """Do something for every filter, on a long dive for each in a thread of its own."""
+    if len(timeline.sample_ns) < WORTH_A_THREAD:
+        return tuple(map(work, *of_filters))
+    with ThreadPoolExecutor() as threads:
+        return tuple(threads.map(work, *of_filters))
+
+
+def run_one(
+    filter_: ResolvedFilter, prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None
+) -> History:
+    """Run one filter over the time line of a prepared dive."""
+    start, has_heading_bias = prepared.alignment.start, "heading_bias" in filter_.states
+    history = run_filter(
+        filter_.name,
+        timeline,
+        with_more_states(start, filter_.more_sd, filter_.constants, heading_bias=has_heading_bias),
+        filter_.noise_density,
+        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors, prepared.beams),
+        prepared.mounting.lever_arm_b,
+        more_states=filter_.states,
+        heading_bias_rate_hz=filter_.heading_bias_rate_hz,
+        cov_ns=cov_ns,
+    )
+    if prepared.beams is None or "beams" not in filter_.aiding:
+        return history
+    parity = parity_innovations(prepared.beams, filter_.beam_sd_mps(prepared.velocities))
+    return replace(history, innovations=(*history.innovations, *parity))
+
+
+def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
+    """Merge the readings, the pings and the reference's times of a prepared dive into one time line."""
+    return build_timeline(
+        dive.imu,
+        prepared.velocities.time_ns,
+        dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64),
+        prepared.alignment.start_ns,
+        prepared.end_ns,
+        prepared.gaps,
+        [sensor.valid_ns for sensor in prepared.sensors.values()],
+        NEVER if prepared.beams is None else prepared.beams.time_ns,
+    )
+
+
+# --- Windows without the DVL.
+
+
+def coasting_plan(prepared: Prepared) -> OutagePlan:
+    """Choose the windows without the DVL; a history has to hold all of P at their ``start_ns``."""
+    start_ns, end_ns = prepared.alignment.start_ns, prepared.end_ns
+    return plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, start_ns, end_ns)
+
+
+def coasting_of(
+    dive: Dive,
+    config: Config,
+    prepared: Prepared,
+    timeline: Timeline,
+    histories: tuple[History, ...],
+    plan: OutagePlan,
+) -> OutageRuns:
+    """Run every filter through the windows of a plan, from its history, which holds P at their starts.
+
+    User code is given the dive without the pings of each window.
+    """
+    report_stage("coasting without velocities")
+    groups = [
+        (windows, sensors, prepared_timeline(dive, replace(prepared, sensors=sensors)) if changed_ else timeline)
+        for windows, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns))
+        for changed_ in (sensors is not prepared.sensors,)
+    ]
+    measured = prepared.velocities, prepared.mounting, prepared.gaps
+
+    def coasts(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
+        found = dict[tuple[int, int], OutageRun]()
+        (velocity,) = replace(filter_, aiding=("velocity",), withheld=()).measurements(*measured)
+        for windows, sensors, line in groups:
+            aiding = filter_.measurements(*measured, sensors, prepared.beams)
+            run_on = partial(
+                coast, history, line, noise_density=filter_.noise_density,
+                measurements=(velocity, *(measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)),
+                lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
+                heading_bias_rate_hz=filter_.heading_bias_rate_hz,
+            )  # fmt: skip
+            found |= {window: outage_run(run_on(window)) for window in windows}
+        return tuple(found[window] for window in plan.windows_ns)
+
+    runs = _side_by_side(timeline, coasts, prepared.filters, histories)
+    distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
+    return OutageRuns(
+        plan, distance_m, {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)}
+    )
+
+
+# --- Drawn starts.
+
+
+def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
+    """Run every filter from the dive's own start and from others that err as P0 says, and keep their true errors.
+
+    The ``count`` of starts includes the dive's own. All filters have the same draws, and other dives have others. The
+    errors end where the runs together have `MOST_DRAWN_SAMPLES`, and are of evenly chosen times of a reference that has
+    more than `MOST_DRAWN_TIMES`.
+    """
+    if dive.reference is None:
+        raise ValueError(f"{dive.name}: errors need a reference")
+    report_stage("running the filters from drawn starts")
+    # Dives differ by these numbers, and they depend neither on a date nor on a processor.
+    start_ns, time_ns = prepared.alignment.start_ns, dive.imu.time_ns
+    sizes = len(time_ns), len(prepared.velocities.time_ns), prepared.end_ns - start_ns
+    starts = drawn_starts(prepared.alignment.start, count, (*sizes, seed))
+    # The first part of the dive, and some times of its reference.
+    last = int(np.searchsorted(time_ns, start_ns)) + MOST_DRAWN_SAMPLES // (count * len(prepared.filters))
+    end_ns = min(prepared.end_ns, int(time_ns[min(last, len(time_ns) - 1)]))
+    inside = np.flatnonzero((dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns))
+    chosen = inside[:: max(1, math.ceil(len(inside) / MOST_DRAWN_TIMES))]
+    reference = dive.reference.rows(np.isin(np.arange(len(dive.reference.time_ns)), chosen))
+    dive, prepared = replace(dive, reference=reference), prepared.until(end_ns)
+    part = RunDive(dive, prepared, prepared_timeline(dive, prepared), np.empty(0, np.int64))
+
+    def run(work: tuple[Candidate, Start]) -> DrawnErrors:
+        candidate, start = work
+        return run_from_start(candidate.run(part, start), reference, dive.truth)
+
+    runs = list(
+        parallel_map(run, [(BuiltInFilter(filter_), start) for filter_ in prepared.filters for start in starts])
+    )
+    return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
+
+
+# --- The heading at the start, where only the positions of a reference tell it (``initial.heading_deg = "fit"``).
+
+FIT: Final = "fit"
+MOST_ROUNDS: Final = 6
+SETTLED_DEG: Final = 0.02
+HEADING_STEP_DEG: Final = 1.0
+BIAS_STEP: Final = 0.2  # in the bias's standard deviation beforehand
+HELD_BIAS_DEGPH: Final = 1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
+LEAST_SURE_DEG: Final = 15.0  # a heading that a track gives no better says nothing
+HEADING_DIGITS, BIAS_DIGITS = 2, 1  # decimals; neither is known so well
+
+
+@dataclass(frozen=True)
+class FittedStart:
+    """A start that was fitted to the track of a reference; the bias is the gyro's about down."""
+
+    heading_deg: float
+    heading_sd_deg: float
+    gyro_bias_degph: float
+    gyro_bias_sd_degph: float
+
+
+def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
+    """Do all that comes before the filters of a dive from `with_reference_at_imu`, and fit the heading where asked for.
+
+    An attitude of the reference to start from goes before a fit.
+    """
+    initial, reference = config.initial, dive.reference
+    starts_posed = initial.source == "reference" and reference is not None and reference.has_attitude
+    if initial.heading_deg != FIT or starts_posed:
+        return prepare_dive(dive, config)
+    fitted = fitted_start(dive, config)
+    # As sure as the track is, or less where the configuration is.
+    north, east, down = initial.misalignment_sd_deg
+    sds = (north, east, max(down, round(fitted.heading_sd_deg, HEADING_DIGITS)))
+    started = _started(initial, fitted.heading_deg, fitted.gyro_bias_degph, misalignment_sd_deg=sds)
+    prepared = prepare_dive(dive, changed(config, initial=started))
+    text = (
+        f"a heading of {fitted.heading_deg:.{HEADING_DIGITS}f} +- {fitted.heading_sd_deg:.2g} deg at the start, and a "
+        f"bias of {fitted.gyro_bias_degph:.{BIAS_DIGITS}f} +- {fitted.gyro_bias_sd_degph:.2g} deg/h of the gyro about "
+        "down, were fitted to the positions of the reference, which the tables then compare with"
+    )
+    return replace(prepared, notes=(*prepared.notes, Note("start_heading_fitted", text)))
+
+
+def fitted_start(dive: Dive, config: Config) -> FittedStart:
+    """Find the heading at the start, and the gyro's bias about down, that bring the baseline's track to the reference.
+
+    The baseline is run, its track aligned with the reference's, and run again from what was found. Started far off, a
+    good IMU measures that the Earth turns otherwise, and the filter bends the track: so this takes some rounds. The
+    baseline is as sure of its heading as configured, and surer of its gyros, for a filter that is unsure turns by
+    itself. ConfigError where the reference has no positions, LogError where its track is too short.
+    """
+    by_hand = "--set initial.heading_deg=... says it, from north over east"
+    reference, initial = dive.reference, config.initial
+    if reference is None or not reference.has_position:
+        with error_context(dive.name):
+            raise ConfigError(
+                'initial.heading_deg = "fit" needs positions of a reference, and there are none',
+                f"name them (reference.topic or reference.fix), or {by_hand}",
+            )
+    config = changed(config, filters={config.baseline: config.filters[config.baseline]})
+    placed, prior_degph, prior_sd_degph = (
+        reference.rows(reference.known["positions"]), initial.gyro_bias_degph[2], initial.gyro_bias_sd_degph
+    )  # fmt: skip
+    bias_step_degph, heading_deg, bias_degph = BIAS_STEP * prior_sd_degph, 0.0, prior_degph
+    found = HeadingFit(np.inf, np.inf, 0.0, np.inf)
+    for _ in range(MOST_ROUNDS):
+        if abs(found.heading) < SETTLED_DEG * DEG:
+            break
+        # From a start and from two beside it: the filter itself finds a part of either, and turns.
+        histories = list[History]()
+        for heading_step, bias_step in ((0.0, 0.0), (HEADING_STEP_DEG, 0.0), (0.0, bias_step_degph)):
+            started = _started(
+                initial, heading_deg + heading_step, bias_degph + bias_step, gyro_bias_sd_degph=HELD_BIAS_DEGPH
+            )
+            prepared = prepare_dive(dive, changed(config, initial=started))
+            histories.append(run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)))
+        time_ns, ours, theirs = np.intersect1d(histories[0].time_ns, placed.time_ns, return_indices=True)
+        tracks, origin = [history.position[ours] for history in histories], placed.position[theirs[:1]]
+        reference_m, track_m, turned_m, biased_m = (
+            np.stack(north_east_m(track, origin, origin), axis=1) for track in (placed.position[theirs], *tracks)
+        )
+        per_heading_m = (turned_m - track_m) / (HEADING_STEP_DEG * DEG)
+        per_bias_m = (biased_m - track_m) / (bias_step_degph * DEG_PER_HOUR)
+        known = (bias_degph - prior_degph) * DEG_PER_HOUR, prior_sd_degph * DEG_PER_HOUR
+        fit = heading_fit(time_ns, track_m, per_heading_m, per_bias_m, reference_m, known)
+        if fit is None or not fit.heading_sd < LEAST_SURE_DEG * DEG:
+            raise LogError(
+                f"{dive.name}: the track of the reference does not tell the heading at the start",
+                f"some tens of metres over two minutes would, of gyros that turn by little meanwhile; {by_hand}",
+            )
+        found = fit
+        heading_deg = round((heading_deg + found.heading / DEG) % 360.0, HEADING_DIGITS)
+        bias_degph = round(bias_degph + found.bias / DEG_PER_HOUR, BIAS_DIGITS)
+    # A bias that walks is, over the dive, another than at the start.
+    time_s = np.ptp(placed.time_ns) * 1e-9
+    bias_sd = np.hypot(found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0))
+    return FittedStart(heading_deg, found.heading_sd / DEG, bias_degph, float(bias_sd) / DEG_PER_HOUR)
+
+
+def _started(initial: Initial, heading_deg: float, bias_degph: float, **others: Any) -> Initial:
+    bias = (*initial.gyro_bias_degph[:2], bias_degph)
+    return changed(initial, heading_deg=heading_deg, gyro_bias_degph=bias, **others)
