@@ -131,8 +131,10 @@ class History:
         What it estimates: the twelve of `states.STATES`, and perhaps more.
     constants : ndarray, shape (k, c)
         What it takes the constants of the sensors to be, the last c of its states, SI units.
-    is_read : bool
-        Whether it is a solution that was read.
+    is_partial : bool
+        Whether NaN means that it says nothing there, as of a recorded solution, and not that it broke down.
+    has_own_start : bool
+        Whether it did not start with the others on the reference.
     is_turned : bool
         Whether the heading of a solution was laid on the baseline's, so that it does not err at first.
     corrected : ndarray, shape (k, 3)
@@ -154,24 +156,15 @@ class History:
     innovations: tuple[Innovations, ...]
     states: tuple[State, ...] = STATES
     constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    is_read: bool = False
+    is_partial: bool = False
+    has_own_start: bool = False
     is_turned: bool = False
     corrected: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def believed(self) -> NDArray[np.bool_]:
         """Of which states it says how sure it is, shape (n,): all of a filter that was run, even if it broke down."""
-        return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_read))
-
-    @property
-    def is_partial(self) -> bool:
-        """Whether NaN means that it says nothing there, as of a recorded solution, and not that it broke down."""
-        return self.is_read
-
-    @property
-    def has_own_start(self) -> bool:
-        """Whether it starts elsewhere than the filters that were run, and not from the reference."""
-        return self.is_read
+        return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_partial))
 
     @property
     def estimates_position(self) -> bool:
@@ -192,7 +185,7 @@ class History:
     def motion(self) -> ReferenceColumns:
         """Return where it is and how it moves, in the rows that say anything of that."""
         motion = ReferenceColumns(self.time_ns, self.position, self.velocity_n, self.mat_nb)
-        return motion.rows(np.any(list(motion.known.values()), axis=0)) if self.is_read else motion
+        return motion.rows(np.any(list(motion.known.values()), axis=0)) if self.is_partial else motion
 
     def without_cov(self) -> "History":
         """Let go of P, by far the largest part; its diagonal stays."""

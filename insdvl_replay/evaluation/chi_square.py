@@ -10,12 +10,10 @@ from scipy.special import betainc, chdtr, chdtri
 
 from insdvl_replay.core.words import Consistency, Reason
 
-CONFIDENCE: Final = 0.95
-"""Share of consistent filters whose mean lies inside the interval."""
+CONFIDENCE: Final = 0.95  # Share of consistent filters whose mean lies inside the interval.
 SMALL_EXCESS: Final = 0.1
 """A NIS or NEES that is off by a smaller share stands for a standard deviation that is off by less than 5 %."""
-FEWEST_UPDATES: Final = 10
-"""With fewer updates the verdict is ``too few``."""
+FEWEST_UPDATES: Final = 10  # With fewer updates the verdict is ``too few``.
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:
@@ -45,17 +43,11 @@ def consistency_verdict(mean: float, low: float, high: float, dof: int) -> tuple
     return Consistency.OVER_CONFIDENT if mean > high else Consistency.OVER_CAUTIOUS, Reason.NONE
 
 
-def ellipsoid(sigmas: float, dof: int) -> float:
-    """Return the NEES that is exceeded as rarely as a normal variable exceeds so many standard deviations."""
-    return chi_square_quantile(float(chdtr(1, sigmas**2)), dof)
-
-
 def probability_beyond_3_sd(share: float, independent: float) -> float:
     """Bound how probable so large a share of errors beyond 3 standard deviations is in a consistent filter.
 
     With one independent sample or more it is the binomial probability, continued between whole numbers. With less, an
-    excursion that happened to last, it is Markov's bound, which holds however the errors depend on each other. The two
-    meet. Exceedances repeat themselves less than squares do, by whose correlation the samples are counted.
+    excursion that happened to last, it is Markov's bound, however the errors depend on each other. The two meet.
     """
     expected = 1.0 - float(chdtr(1, 9.0))
     count = share * independent

@@ -1,7 +1,6 @@
 """Whether a filter's innovations are as large as it says, axis by axis, and white; and what they say of its settings.
 
-A filter that is right has used all that a measurement could tell, and what remains is new each time. The table comes
-first, then the notes on updates that did not happen as configured, then the hints on settings, and last which white
+First the table, then the notes on updates that did not happen as configured, the hints on settings, and which white
 noise can be a sensor's. Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
 Navigation", chapter 5.
 """
@@ -25,19 +24,15 @@ from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import FEWEST_UPDATES, chi_square_quantile, consistency_verdict, mean_interval
 from insdvl_replay.evaluation.series import samples_in_mean_square
 
-MANY_REJECTED: Final = 0.1
-"""A gate that rejects a larger share does not keep outliers out but the DVL."""
+MANY_REJECTED: Final = 0.1  # A gate that rejects a larger share does not keep outliers out but the DVL.
 CONTRADICTED: Final = 9.0
 """Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread."""
-SLOW: Final = 0.3
-"""Correlation of neighbouring headings from which their error is slow."""
-FEWEST_PAIRS: Final = 10
-"""With fewer neighbours the word is ``too few``."""
+SLOW: Final = 0.3  # Correlation of neighbouring headings from which their error is slow.
+FEWEST_PAIRS: Final = 10  # With fewer neighbours the word is ``too few``.
 SMALL_AUTOCORRELATION: Final = 0.1
 """A smaller one, however significant, does not matter: the mean of noise that is so correlated scatters by less than
 11 % more, or 10 % less, than that of white noise."""
-NORMAL_95: Final = 1.96
-"""Within so many standard deviations are 95 % of a normal variable."""
+NORMAL_95: Final = 1.96  # Within so many standard deviations are 95 % of a normal variable.
 NO_SENSORS: Final[Mapping[str, Floats]] = MappingProxyType({})
 
 
@@ -61,12 +56,10 @@ def consistency_table(
 ) -> list[ConsistencyRow]:
     """Judge each filter's innovations, measurement by measurement and axis by axis.
 
-    NIS is that of all innovations; what the gate rejected counts as much as the gate is, see
-    `history.Innovations.weight`. Whiteness is that of the innovations that were used; autocorrelation is with the
-    innovation before. After the row of a whole measurement, such as ``velocity``, come those of its axes in b,
+    NIS is that of all innovations; what the gate rejected counts as much as the gate is. Whiteness is that of the
+    innovations that were used. After the row of a whole measurement, such as ``velocity``, come those of its axes in b,
     ``velocity_x`` to ``velocity_z``, where NIS is ``z_i^2 / S_ii``. The interval of a held-out sensor is that of its
-    independent innovations, and its whiteness that of all. A filter without the states that the sensor needs does not
-    tell how far off it may be.
+    independent innovations; a filter without the states that the sensor needs does not tell how far off it may be.
     """
     rows = []
     for history, innovations in [(met_by, met) for met_by in histories for met in met_by.innovations]:
@@ -141,9 +134,9 @@ def autocorrelation(
 ) -> tuple[float, float]:
     """Return the correlation of innovations with the ones before them, and what 95 % of white innovations stay below.
 
-    The components are taken together. The mean is not subtracted: innovations have none, and one that stays is a
-    correlation too. The limit is ``1.96 / sqrt(pairs)``; for n above 1 it is too wide by up to sqrt(n), and never too
-    narrow, however the components are correlated. NaN with fewer than `FEWEST_PAIRS` pairs, or where nothing varies.
+    The mean is not subtracted: one that stays is a correlation too. The limit is ``1.96 / sqrt(pairs)``; for n
+    components together it is too wide by up to sqrt(n), and never too narrow. NaN with fewer than `FEWEST_PAIRS` pairs,
+    or where nothing varies.
     """
     pairs = used[1:] & used[:-1]
     count = int(pairs.sum())
@@ -170,11 +163,10 @@ def whiteness(value: float, limit: float) -> Whiteness:
 
 
 def log_likelihood(innovations: Innovations) -> float:
-    """Return the logarithm of the probability density of all innovations under the filter that met them.
+    """Return the log-likelihood of all innovations, the sum of ``-(ln det S + z' S^-1 z + d ln 2 pi) / 2``.
 
-    Innovations of a filter that is right are independent and normal, so that it is the sum of
-    ``-(ln det S + z' S^-1 z + d ln 2 pi) / 2``. Gated innovations count: leaving them out would reward a filter that
-    rejects what it does not like. Minus infinity where an innovation is not finite.
+    Gated innovations count: leaving them out would reward a filter that rejects what it does not like. Minus infinity
+    where an innovation is not finite.
     """
     constant = innovations.dof * np.log(2.0 * np.pi)
     total = -0.5 * float(np.sum(innovations.log_det + innovations.nis + constant))
@@ -290,8 +282,7 @@ six times less variance down, of which a filter that takes all axes for alike kn
 TELLING_PCT, TELLING_DEG = 0.5, 0.5
 CERTAIN_SDS: Final = 5.0
 """Standard errors by which a track has to be off; those of a turn hold what the filter knows of its heading, too."""
-LEAST, MOST = 0.2, 5.0
-"""Mean NIS over degrees of freedom outside which noise is set far off."""
+LEAST, MOST = 0.2, 5.0  # Mean NIS over degrees of freedom outside which noise is set far off.
 NOISE_FAR_OFF: Final = "noise_far_off"
 _CALIBRATE: Final = (
     "`insdvl-replay calibrate` with the same settings estimates arm, mounting, delay and scale of the DVL"
@@ -357,10 +348,8 @@ def is_noise_far_off(tables: Tables, baseline: str) -> bool:
 FILTERED: Final = 10.0
 """An IMU that smooths its readings shows less of its noise from sample to sample than it has over a second: by up to
 this factor."""
-RESTLESS: Final = 2.0
-"""Vibration that comes and goes scatters the readings by as much more than in the usual block."""
-BLOCK: Final = 50
-"""Samples of a block; turns and single wrong readings spoil few of them."""
+RESTLESS: Final = 2.0  # Vibration that comes and goes scatters the readings by as much more than in the usual block.
+BLOCK: Final = 50  # Samples of a block; turns and single wrong readings spoil few of them.
 
 
 class SensorClasses(NamedTuple):
@@ -388,9 +377,9 @@ CLASSES: Final[Mapping[str, SensorClasses]] = MappingProxyType(
 def readings_scatter(readings: Floats, step_s: float) -> float:
     """Bound the white noise density of a sensor by how its readings, shape (k, 3), scatter from sample to sample.
 
-    What is left of three readings after a straight line through them is noise, vibration, and what the vehicle does
-    within two steps: at least the sensor's noise, unless it smooths its readings. It is the largest of the three axes,
-    each the median over blocks. NaN of fewer than three readings.
+    What is left of three readings after a straight line is noise, vibration, and what the vehicle does within two
+    steps: at least the sensor's noise, unless it smooths. The largest of the axes, each the median over blocks; NaN of
+    fewer than three readings.
     """
     bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)  # of white noise: 1, -2 and 1 times it, squared and added
     if not len(bends):

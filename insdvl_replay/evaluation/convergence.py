@@ -22,16 +22,12 @@ from insdvl_replay.evaluation.errors import DrawnErrors, squared_errors
 from insdvl_replay.evaluation.predicted import improvement_pct, last_row, predicted_states
 from insdvl_replay.evaluation.series import MARGIN
 
-LAST: Final = 0.1
-"""Share of the time that has passed of which an rms is."""
-STEP: Final = 0.02
-"""Each time at which the rms is looked at is so much of itself before the next."""
+LAST: Final = 0.1  # Share of the time that has passed of which an rms is.
+STEP: Final = 0.02  # Each time at which the rms is looked at is so much of itself before the next.
 RESAMPLES: Final = 1000
 SEED: Final = 1
-BEYOND: Final = 1e200
-"""Replaces a square that is larger, or not finite: no filter comes back from there."""
-FEWEST_STARTS: Final = 3
-"""The dive's own, and two that are drawn."""
+BEYOND: Final = 1e200  # Replaces a square that is larger, or not finite: no filter comes back from there.
+FEWEST_STARTS: Final = 3  # The dive's own, and two that are drawn.
 
 
 # --- Measured convergence.
@@ -57,11 +53,10 @@ NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingPr
 
 
 def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict[str, MeasuredConvergence]:
-    """Compare the convergence of two filters from the same starts in all errors that measurements bring down.
+    """Compare the convergence of two filters from the same starts, by quantity of `errors.squared_errors`.
 
-    By quantity of `errors.squared_errors`; those of `quantities.CONVERGED` have intervals. Empty where fewer than two
-    starts were drawn. The dive's own start is left out, since it lacks the errors that are to fall; so is the position,
-    of which no measurement tells.
+    Those of `quantities.CONVERGED` have intervals. Empty where fewer than two starts were drawn. The dive's own start
+    is left out, since it lacks the errors that are to fall; so is the position, of which no measurement tells.
     """
     if min(len(baseline.error), len(candidate.error)) < FEWEST_STARTS:
         return {}
@@ -85,10 +80,9 @@ def measured_convergence(
 ) -> MeasuredConvergence:
     """Find from when on two filters are as good as the baseline is at the end.
 
-    The rms of s normal draws has the standard error ``1 / sqrt(2 s)`` of itself: by so much it may exceed the target.
-    A filter that is there at once but not for good is as good at the start, and has nothing to bring down: a heading
-    that drifts, or a level that a straight dive does not show. The interval resamples the starts. In it a time at the
-    start counts as the first one, and never as infinite: where the candidate is never there, it says how surely.
+    The rms of s normal draws has the standard error ``1 / sqrt(2 s)`` of itself: by so much it may exceed the target. A
+    filter that is there at once but not for good is as good at the start, and has nothing to bring down. The interval
+    resamples the starts. In it a time at the start counts as the first one, and never as infinite.
     """
     known = np.isfinite(baseline_sq).any(axis=0) & np.isfinite(candidate_sq).any(axis=0)
     at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
@@ -204,8 +198,7 @@ def convergence_table(
 ) -> list[ConvergenceRow]:
     """Say when each candidate became, and stayed, as certain as the baseline is at the end, and when it came nearest.
 
-    There is a row for each of the twelve states that a candidate has a standard deviation of. Times count from the
-    start; the baseline's time is its last ping.
+    Times count from the start; the baseline's time is its last ping.
     """
     baseline, *candidates = histories
     rows = []
@@ -251,10 +244,9 @@ def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
 
 
 def time_to_stay_below(time_s: Floats, sd: Floats, target: float) -> tuple[float, ConvergenceStatus]:
-    """Find the first time after which a standard deviation stays at or below a target.
+    """Find the first time after which a standard deviation stays at or below a target, between samples on a line.
 
-    The time is interpolated between the samples, and NaN unless reached. ``at_start`` is never above the target;
-    ``never`` is above it, or not finite, at the end.
+    NaN unless reached: ``at_start`` is never above the target; ``never`` is above it, or not finite, at the end.
     """
     above = np.flatnonzero(~(sd <= target))
     if len(above) == 0:

@@ -1,10 +1,9 @@
 """Whether a filter's errors are as large as it says: errors against the reference in its own standard deviations.
 
-The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. Errors
-of neighbouring times are nearly the same number, and a mean over them is less certain than their count suggests. The
-worst of the groups of states represents a filter: all states together may be consistent where some err by far more
-than the filter says and others by far less. Source:
-Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
+The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. The worst
+of the groups of states represents a filter: all states together may be consistent where some err by far more than the
+filter says and others by far less. Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking
+and Navigation", chapter 5.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtr
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, TruthColumns
 from insdvl_replay.core.history import History
@@ -29,8 +29,8 @@ from insdvl_replay.core.words import Consistency, Reason
 from insdvl_replay.evaluation.chi_square import (
     CONFIDENCE,
     FEWEST_UPDATES,
+    chi_square_quantile,
     consistency_verdict,
-    ellipsoid,
     mean_interval,
     probability_beyond_3_sd,
 )
@@ -158,12 +158,11 @@ def variance_of_attitude(cov: Floats, states: States) -> float:
 
 
 def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> list[CredibilityRow]:
-    """Judge each filter by its errors against the reference, by filter; there are none without a reference.
+    """Judge each filter by its errors against the reference; ``errors``, by filter, are empty without one.
 
     There are rows for velocity and attitude, about the vehicle's level axes, for the biases where the log carries the
-    true ones; for the groups of these with their block of P, and for ``all`` of them with the whole of P. The shares of
-    these are those inside the ellipsoids with the probabilities of one and three standard deviations. A partial
-    solution has rows of what its covariances tell.
+    true ones; for the groups of these with their block of P, and for ``all`` of them with the whole of P, where shares
+    are those inside the ellipsoids of one and three standard deviations.
     """
     rows = []
     for name in filters:
@@ -228,7 +227,9 @@ def _row(named: tuple[str, str, str], errors: StateErrors, states: States, sampl
 
     squared = np.sum(standardised**2, axis=1)
     mean_nees, (low, high) = float(squared.mean()), mean_interval(dof, independent)
-    near_pct, far_pct = (100.0 * float(np.mean(squared <= ellipsoid(sigmas, dof))) for sigmas in (1.0, 3.0))
+    # The ellipsoids that are exceeded as rarely as a normal variable exceeds one and three standard deviations.
+    bounds = [chi_square_quantile(float(chdtr(1, sigmas**2)), dof) for sigmas in (1.0, 3.0)]
+    near_pct, far_pct = (100.0 * float(np.mean(squared <= bound)) for bound in bounds)
     word, why = consistency_verdict(mean_nees, low, high, dof)
     beyond = 1.0 - far_pct / 100.0
     if word != Consistency.OVER_CONFIDENT and dof * independent < FEWEST_UPDATES:

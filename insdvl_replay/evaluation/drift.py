@@ -1,13 +1,10 @@
 """How far each filter drifts from the reference, how its track would fit, and how often its position jumps.
 
-The position error at the end of a dive is one number, and its rms over the dive about two independent ones. Over
-segments only what is lost inside each counts, so that there are many. Where the filters went through a long gap of the
-IMU, nothing tells where the vehicle went meanwhile: then there are rows of the velocity alone.
-
-Sources: Geiger, Lenz and Urtasun, "Are we ready for autonomous driving? The KITTI vision benchmark suite", 2012, and
-Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", 2012, for relative errors; Umeyama, "Least-squares
-estimation of transformation parameters between two point patterns", 1991, for track fits, which in the plane are a
-linear regression between complex numbers.
+The position error at the end of a dive is one number; over segments only what is lost inside each counts, so that there
+are many. After a long gap of the IMU there are rows of the velocity alone. Sources: Geiger, Lenz and Urtasun, "Are we
+ready for autonomous driving? The KITTI vision benchmark suite", 2012, and Sturm et al., "A benchmark for the evaluation
+of RGB-D SLAM systems", 2012, for relative errors; Umeyama, "Least-squares estimation of transformation parameters
+between two point patterns", 1991, for track fits, which in the plane are a regression between complex numbers.
 """
 
 import math
@@ -29,20 +26,15 @@ from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, un
 
 SEGMENT_S: Final = 60.0
 SEGMENT_M: Final = 100.0
-STEP_S: Final = 5.0
-"""From the start of a segment to that of the next, which overlaps with it."""
-ABOUT: Final = 0.1
-"""A segment may be longer or shorter by this share, where the reference has no sample at its end."""
-ROUNDING: Final = 1e-6
-"""Share of a segment that sums of speeds and steps may be short of it."""
-SLOWEST_MPS: Final = 0.1
-"""A slower vehicle has no course."""
+STEP_S: Final = 5.0  # From the start of a segment to that of the next, which overlaps with it.
+ABOUT: Final = 0.1  # A segment may be longer or shorter by this share, where the reference has no sample at its end.
+ROUNDING: Final = 1e-6  # Share of a segment that sums of speeds and steps may be short of it.
+SLOWEST_MPS: Final = 0.1  # A slower vehicle has no course.
 SMALLEST_JUMP_M: Final = 0.5
 """Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres."""
 AVERAGED_S: Final = 20.0
 """Residuals of tracks are averaged over so long. What is left is what dead reckoning loses, not a fix's noise."""
-FEWEST_AVERAGES: Final = 6
-"""From fewer there is no standard error."""
+FEWEST_AVERAGES: Final = 6  # From fewer there is no standard error.
 
 Complexes = NDArray[np.complex128]
 
@@ -217,9 +209,9 @@ def track_fit(
 ) -> TrackFit:
     """Find scale, turn and shift, in closed form, that align one track with another.
 
-    Residuals of dead reckoning wander, so that their own sum says nothing of the certainty. The standard errors come
-    from their changes between averages, which are nearly independent. Noise of the reference makes them too large
-    rather than too small. Unknown where the reference's track is not `SHORTEST_M` across.
+    Residuals of dead reckoning wander; the standard errors come from their changes between averages, which are nearly
+    independent. Noise of the reference makes them too large rather than too small. Unknown where the reference's track
+    is not `SHORTEST_M` across.
     """
     if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
         return UNKNOWN
@@ -298,8 +290,7 @@ def heading_fit(
 def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, ReferenceColumns]) -> list[JumpRow]:
     """Count the steps of a position that neither its own velocity nor the steps around explain, see `geometry.frames`.
 
-    There is a row for each filter whose position can jump: it estimates its position, or has a recorded motion in
-    ``motions``, which is looked at from sample to sample. A filter that goes by its velocity alone has none.
+    Only a filter that estimates its position, or has a recorded motion in ``motions``, can jump and has a row.
     """
     rows = []
     for history in histories:

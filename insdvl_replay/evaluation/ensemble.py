@@ -18,12 +18,9 @@ from insdvl_replay.evaluation.chi_square import FEWEST_UPDATES, consistency_verd
 from insdvl_replay.evaluation.credibility import nees, state_errors
 from insdvl_replay.evaluation.predicted import improvement_pct
 
-DOF: Final = len(STATES)
-"""Degrees of freedom of one NEES."""
-SOON_S: Final = 1.5
-"""After an outage: with pings each second, after the second of them."""
-LATER_S: Final = 60.0
-"""After an outage: what a correction of large errors leaves behind has had time to show."""
+DOF: Final = len(STATES)  # Degrees of freedom of one NEES.
+SOON_S: Final = 1.5  # After an outage: with pings each second, after the second of them.
+LATER_S: Final = 60.0  # After an outage: what a correction of large errors leaves behind has had time to show.
 FACTORS: Final = np.array([state.factor for state in STATES])
 
 
@@ -39,13 +36,7 @@ class RunErrors:
 
 
 def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumns) -> RunErrors:
-    """Compare one filter with the exact motion and the true biases, at the times of P that all three have.
-
-    Raises
-    ------
-    ValueError
-        There is no such time.
-    """
+    """Compare one filter with the exact motion and the true biases, at the times of P that all three have."""
     errors = state_errors(history, reference, truth)
     if not len(errors.time_ns):
         raise ValueError("NEES needs all of P")
@@ -75,9 +66,8 @@ class Ensemble:
 class Tally:
     """The runs of one filter, added up one after the other, so that memory does not grow with their number.
 
-    Mean and squares are updated run by run, after Welford: a mean far from zero costs no digits. The first run gives
-    the filter's name and the times; it is not yet added. ``nees_by_run`` holds of each run NEES in the mean over its
-    pings and after the last.
+    Mean and squares are updated after Welford: a mean far from zero costs no digits. The first run gives the filter's
+    name and the times; it is not yet added. ``nees_by_run`` holds NEES in the mean over pings and after the last.
     """
 
     def __init__(self, first: RunErrors) -> None:
@@ -113,11 +103,7 @@ class Tally:
 
 
 def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Return what each filter predicts at the end next to what is so, 12 rows for each filter.
-
-    ``final_sd`` is from P, ``ratio`` is rms_error over final_sd; the improvements are of final_sd and rms_error against
-    the baseline's, NaN for itself.
-    """
+    """Return what each filter predicts at the end next to what is so; ``ratio`` is rms_error over final_sd."""
     baseline, tables = ensembles[0], []
     for ensemble in ensembles:
         ends = {
@@ -141,11 +127,10 @@ def _states(name: str) -> dict[str, str | list[str]]:
 
 
 def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Judge each filter by its NEES.
+    """Judge each filter by its NEES; ``inside_pct`` is the share of pings inside the interval.
 
     NEES at neighbouring times are nearly the same number. The mean over the dive is therefore compared with the
-    interval of a single time, which is too wide for it and never too narrow. ``inside_pct`` is the share of pings
-    inside it.
+    interval of a single time, which is too wide for it and never too narrow.
     """
     rows = []
     for ensemble in ensembles:
@@ -162,11 +147,10 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
 
 
 def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]) -> pd.DataFrame:
-    """Follow the mean NEES through outages of the DVL: what an INS alone did, and how a filter comes back from it.
+    """Follow the mean NEES through outages of the DVL, given by start and end, seconds: how a filter comes back.
 
-    Outages have a start and an end, seconds from the start of the dive. There are columns at the last time before the
-    outage, its last time, `SOON_S` and `LATER_S` after it, and at the end of the dive; NaN where the dive does not
-    reach so far.
+    At the last time before the outage, its last time, `SOON_S` and `LATER_S` after it, and at the end; NaN beyond the
+    dive.
     """
     rows = []
     for ensemble in ensembles:
@@ -213,12 +197,9 @@ def ensemble_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Return sigma, ensemble sigma and ensemble mean over time, in shown units."""
     tables = []
     for ensemble in ensembles:
-        for state in STATES:
-            columns = {
-                "sd": ensemble.sd[:, state.index] / state.factor,
-                "ensemble_sd": ensemble.error_sd[:, state.index] / state.factor,
-                "ensemble_mean": ensemble.error_mean[:, state.index] / state.factor,
-            }
+        shown = [columns / FACTORS for columns in (ensemble.sd, ensemble.error_sd, ensemble.error_mean)]
+        for i, state in enumerate(STATES):
             labels = {"filter": ensemble.filter, "state": state.id, "unit": state.unit, "time_s": ensemble.time_s}
-            tables.append(pd.DataFrame({**labels, **columns}))
+            columns = zip(("sd", "ensemble_sd", "ensemble_mean"), shown, strict=True)
+            tables.append(pd.DataFrame({**labels, **{name: column[:, i] for name, column in columns}}))
     return pd.concat(tables, ignore_index=True)

@@ -22,14 +22,10 @@ from insdvl_replay.evaluation.series import thinned
 from insdvl_replay.geometry.frames import north_east_down_m, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
-WELL_COVERED: Final = 0.9
-"""Share of a replay that has to be covered before errors count as those of the whole."""
-USUAL_STEPS: Final = 5.0
-"""A step to the next number of up to so many usual ones is no hole."""
-SHORT_S: Final = 2.5
-"""Nor is a shorter one."""
-CHORD_S: Final = 10.0
-"""Steps between positions that are shorter add up their noise rather than the distance."""
+WELL_COVERED: Final = 0.9  # Share of a replay that has to be covered before errors count as those of the whole.
+USUAL_STEPS: Final = 5.0  # A step to the next number of up to so many usual ones is no hole.
+SHORT_S: Final = 2.5  # Nor is a shorter one.
+CHORD_S: Final = 10.0  # Steps between positions that are shorter add up their noise rather than the distance.
 SHORTEST_M: Final = 10.0
 """Over a shorter distance there are no percentages: at rest a filter's noise alone travels some metres."""
 DEAD_RECKONED: Final = ("position_h", "depth", "position_h_pct")
@@ -54,9 +50,8 @@ def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> 
 def compared_distance_m(reference: ReferenceColumns, baseline: History, time_ns: TimeNs) -> float:
     """Return the horizontal distance from the start to the last compared position, the same for all filters.
 
-    It is the reference's wherever its velocities, or else its positions, cover the span: a filter's distance errs as
-    the filter does. Chords between noisy positions are too long, so that the shorter of them and the baseline's
-    distance counts. With fixes before and after a dive alone, it is the baseline's.
+    It is the reference's wherever its velocities, or else its positions, cover the span. Chords between noisy positions
+    are too long, so that the shorter of them and the baseline's distance counts; else it is the baseline's.
     """
     if not len(time_ns):
         return 0.0
@@ -85,8 +80,8 @@ def distance_travelled_m(history: History, time_ns: TimeNs) -> float:
 def reference_distance_m(reference: ReferenceColumns, time_ns: TimeNs) -> Floats:
     """Return how far the reference has travelled horizontally since the first of its times, shape (k,).
 
-    Its speed is integrated; where it gives velocities for too little of the time, chords between its positions are
-    added up. NaN where it has neither.
+    Its speed is integrated; where that is known for too little of the time, chords between positions are added up. NaN
+    where it has neither.
     """
     rows = np.isin(reference.time_ns, time_ns)
     moving, located = reference.known["velocities"] & rows, reference.known["positions"] & rows
@@ -131,8 +126,7 @@ class ReferenceErrors:
 def reference_errors(history: History, reference: ReferenceColumns, baseline: History | None = None) -> ReferenceErrors:
     """Compare a history with the reference at every reference time inside the replay, without the start.
 
-    At the start the filter was set to the reference. Where the reference does not give the distance, it is integrated
-    from the baseline's velocity, or else from the history's own.
+    Where the reference does not give the distance, it is the baseline's, or else the history's own.
     """
     time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
     ours += 1
@@ -150,8 +144,8 @@ def reference_errors(history: History, reference: ReferenceColumns, baseline: Hi
 def attitude_error(mat_nb: Floats, mat_nb_reference: Floats) -> Floats:
     """Return the error rotation as roll, pitch and heading error, shape (k, 3), rad.
 
-    The rotation vector of ``C_hat C'``, which is in n, is turned by the reference's heading to the vehicle's level
-    axes. On a level vehicle this equals differences of Euler angles, and near the vertical it does not blow up.
+    The rotation vector of ``C_hat C'``, in n, is turned by the reference's heading to the vehicle's level axes. On a
+    level vehicle this equals differences of Euler angles, and near the vertical it does not blow up.
     """
     known = np.isfinite(mat_nb_reference).all(axis=(1, 2))
     error = np.full((len(mat_nb), 3), np.nan)
@@ -170,10 +164,9 @@ def motion_error(
 ) -> tuple[Floats, Floats]:
     """Return the errors of velocity, m/s, and attitude, rad, of which P speaks, shape (k, 3) each.
 
-    What the filter is exact for is the invariant error ``xi = v_hat - C_hat C' v``, and to first order that is
-    ``dv + v_hat x phi``. The dv of this relation is the difference of the velocities where the misalignment is small;
-    with a heading that is off by 20 deg the difference would also hold the second order, 6 % of the speed, which has no
-    place in P. Where an attitude is not known, the velocity error is the difference.
+    The filter is exact for the invariant error ``xi = v_hat - C_hat C' v``, to first order ``dv + v_hat x phi``. This
+    dv is the difference of the velocities where the misalignment is small; with a heading that is off by 20 deg the
+    difference would also hold the second order, 6 % of the speed. Where an attitude is not known, it is the difference.
     """
     known = np.isfinite(true_mat_nb).all(axis=(1, 2)) & np.isfinite(mat_nb).all(axis=(1, 2))
     velocity_error_n, misalignment_n = velocity_n - true_velocity_n, np.full_like(velocity_n, np.nan)
@@ -185,10 +178,10 @@ def motion_error(
 
 
 def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
-    """Return how far a filter is off in its states, shape (k, n), at times that both history and reference have.
+    """Return how far a filter is off in its states, shape (k, n), SI units, at times that history and reference have.
 
-    The states are the twelve of `states.STATES`, SI units, and the position where the filter estimates it. A bias is
-    what is left in the compensated readings; the truth knows it at any of the reference's times.
+    The states are the twelve, and the position where the filter estimates it. A bias is what is left in the compensated
+    readings, known at the times of the truth.
     """
     ours, theirs = np.searchsorted(history.time_ns, time_ns), np.searchsorted(reference.time_ns, time_ns)
     error = np.full((len(time_ns), POSITION.stop if history.estimates_position else POSITION.start), np.nan)
@@ -273,10 +266,9 @@ def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:
 
 
 def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
-    """Square the errors whose convergence is measured, by quantity, shape (s, k), SI units.
+    """Square the errors whose convergence is measured, by quantity, shape (s, k), SI units, if they are ever known.
 
-    They are ``position_h``, ``velocity_h``, ``level`` (the mean square of roll and pitch), and each error state by its
-    name. NaN where it is not known; what is never known is left out.
+    They are ``position_h``, ``velocity_h``, ``level`` (the mean square of roll and pitch), and each state by its name.
     """
     with np.errstate(over="ignore"):
         squares = {
@@ -296,10 +288,9 @@ def reference_error_table(
 ) -> list[ReferenceErrorRow]:
     """Return the candidates' errors next to the baseline's, 9 rows a candidate; final errors keep their sign.
 
-    The errors, by filter, are empty where the dive has no reference. ``bridged_gaps``: the filters went through long
-    gaps of the IMU. With the status ``partly covered`` (the reference has the quantity for less than `WELL_COVERED` of
-    the replay) or ``lost in gap`` the numbers are there, but do not judge the filters. Next to a candidate that is
-    partial, the baseline's numbers are of the same instants.
+    The errors, by filter, are empty without a reference. With the status ``partly covered`` or ``lost in gap`` the
+    numbers are there, but do not judge the filters. Next to a partial candidate the baseline's numbers are of the same
+    instants.
     """
     baseline, *candidates = histories
     span_ns, nan, rows = (int(baseline.time_ns[0]), int(baseline.time_ns[-1])), float("nan"), []
@@ -361,10 +352,9 @@ def _rms_final_samples(error: Floats) -> tuple[float, float, int]:
 def reference_acceleration(reference: ReferenceColumns, max_gap_s: float) -> Floats:
     """Differentiate the reference's velocity in body axes, by central differences of second order; shape (r, 3), m/s^2.
 
-    These are rates of the velocity's components in body axes, at the reference's own times, from the rows on either
-    side. No attitude is interpolated: a reference of 1 Hz says nothing of it inside a sharp turn, while the body's own
-    velocity hardly changes there. NaN in the first and last row, next to pauses that are longer than the gap, and next
-    to rows without velocity or attitude.
+    No attitude is interpolated: a reference of 1 Hz says nothing of it inside a sharp turn, while the body's own
+    velocity hardly changes there. NaN in the first and last row, next to longer pauses, and next to rows without
+    velocity or attitude.
     """
     acceleration_b = np.full((len(reference.time_ns), 3), np.nan)
     if len(reference.time_ns) < 3:

@@ -1,14 +1,10 @@
-"""The evidence on each candidate next to the baseline: what was measured, its interval, and a word.
+"""The evidence on each candidate next to the baseline: what was measured, its interval, and a word (`series.word_of`).
 
 Both filters ran on the same dive, so that everything is paired. *Accuracy* is against the reference, from the same
-drawn starts; the *outage test* is while the DVL is withheld; *held-out* evidence is by other sensors that no filter was
-told of; *convergence* is from starts that err as much as the filters allow for; the *track* is the error of the whole
-dive; *consistency* is whether innovations and errors are as large as a filter says, which says nothing of gain or loss.
-The word of a piece is that of `series.word_of`.
-
-Positions are judged by how far they drift over a stretch of time or distance: their error as such is one number that a
-heading wrong at the start decides. Levels and headings are judged from drawn starts alone: a filter that is set to the
-reference's own attitude has nothing to find.
+drawn starts; *coasting* while the DVL is withheld; *withheld* by other sensors that no filter was told of;
+*convergence* from starts that err as much as the filters allow for; the *track* is the error of the whole dive;
+*honesty* is whether innovations and errors are as large as a filter says, which says nothing of gain or loss. Positions
+are judged by how far they drift: their error as such is one number that a heading wrong at the start decides.
 """
 
 import math
@@ -59,19 +55,15 @@ from insdvl_replay.geometry.frames import north_east_down_m
 SEGMENTS_S: Final = (30.0, 60.0)
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
 """Quantities in which a heading that is off shows in the second order alone."""
-OF_STARTS: Final = ("level", "heading")
-"""Quantities that are judged from drawn starts alone."""
-FEWEST_STARTS: Final = 8
-"""With fewer, levels and headings are no evidence: each start is one sample of them."""
+OF_STARTS: Final = ("level", "heading")  # Quantities that are judged from drawn starts alone.
+FEWEST_STARTS: Final = 8  # With fewer, levels and headings are no evidence: each start is one sample of them.
 SOONER: Final = 0.25
 """A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive."""
 NOISE_OF_REFERENCE: Final = "mostly noise of the reference"
 NOISY: Final = 0.4
 """Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing."""
-NOTABLY: Final = 1.1
-"""A mean NIS or NEES nearer to its degrees of freedom by less is as consistent."""
-ALONG: Final = {"depth": [2], "position": [0, 1]}
-"""Sensors that tell of the track, and along which axes of n."""
+NOTABLY: Final = 1.1  # A mean NIS or NEES nearer to its degrees of freedom by less is as consistent.
+ALONG: Final = {"depth": [2], "position": [0, 1]}  # Sensors that tell of the track, and along which axes of n.
 
 
 # --- Squared errors against the reference, and against held-out sensors.
@@ -178,10 +170,9 @@ def accuracy_beside(
 def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, SquaredErrors]:
     """Square what a filter and the held-out sensors differ by, by quantity of `quantities.WITHHELD_QUANTITIES`.
 
-    As against a reference, positions and depths are judged by what they drift by over a minute, between corrections; a
-    heading by itself. What a sensor errs by itself is in both filters alike and makes them look the more equal the
-    noisier it is: readings of a few seconds, in which no filter drifts, are averaged. The noise is that of one reading,
-    by the sensor's name, SI; the first component stands for all.
+    Positions and depths are judged by their drift over a minute, between corrections; a heading by itself. The sensor's
+    noise is in both filters and makes them look equal: readings of a few seconds, in which no filter drifts, are
+    averaged. The noise is that of one reading, by the sensor's name, SI; the first component stands for all.
     """
     found = {}
     for innovations in (met for met in history.innovations if met.is_withheld):
@@ -377,9 +368,8 @@ def _consistency_rows(
 ) -> Iterator[EvidenceRow]:
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
-    Of the baseline's measurements, and of the groups of states, the worst stands for a filter; next to a partial
-    solution, of the groups of which that tells. Of the candidate's further sensors those count in which it is
-    over-confident.
+    The worst measurement, and group of states, represents a filter; next to a partial solution, of the groups that it
+    tells. Of the candidate's further sensors those count in which it is over-confident.
     """
     shared = {row.measurement for row in consistency if row.filter == baseline}
     told = {row.quantity for row in credibility if row.filter == named[1]}

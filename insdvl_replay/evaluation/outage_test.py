@@ -1,8 +1,7 @@
 """The DVL outage test: how far a filter drifts while the DVL is withheld, by the withheld velocities themselves.
 
-This needs no reference. It says nothing of heading, of a DVL that is turned about down or reads too much everywhere:
-prediction and measurement share these. It measures levels, accelerometer biases, gyro biases through gravity, lever
-arm, time stamps and noise.
+This needs no reference. It does not see heading, scale and a constant turn about down, which prediction and measurement
+share; it measures levels, accelerometer biases, gyro biases through gravity, lever arm, time stamps and noise.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -22,20 +21,15 @@ from insdvl_replay.evaluation.chi_square import chi_square_quantile
 from insdvl_replay.evaluation.errors import SHORTEST_M
 from insdvl_replay.evaluation.series import windows_ratio
 
-BURN_IN_S: Final = 100
-"""Drift does not describe a filter that still finds its start."""
+BURN_IN_S: Final = 100  # Drift does not describe a filter that still finds its start.
 SHOWN_S: Final = 60
-SHOWN_EVERY_S: Final = 30
-"""Windows for a picture of the drift over time may overlap."""
-OUTAGE: Final = 2.5
-"""A pause of so many usual intervals is a real outage; a single missing ping is none."""
+SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may overlap.
+OUTAGE: Final = 2.5  # A pause of so many usual intervals is a real outage; a single missing ping is none.
 FEWEST_PINGS: Final = 6
 """With fewer in a window the trapezoid, from a velocity error of zero on, makes the drift over 1 % too large."""
 NAN: Final = float("nan")
-ALARM: Final = 2.0
-"""A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %."""
-SURELY: Final = 0.999
-"""So rarely is there an alarm by chance, of each filter and length."""
+ALARM: Final = 2.0  # A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %.
+SURELY: Final = 0.999  # So rarely is there an alarm by chance, of each filter and length.
 
 Rows = NDArray[np.int64]
 InGap = Callable[[TimeNs, TimeNs], NDArray[np.bool_]]

@@ -20,10 +20,8 @@ from insdvl_replay.evaluation.verdicts import (
     spoken_of,
 )
 
-EVERY_DIVE: Final = "*"
-"""In place of a dive's name."""
-FEWEST_DIVES: Final = 3
-"""Fewer dives decide nothing."""
+EVERY_DIVE: Final = "*"  # In place of a dive's name.
+FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
 
 
 def pooled_evidence(

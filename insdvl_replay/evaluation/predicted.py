@@ -1,18 +1,17 @@
 """Predicted improvement: what the square roots of P's diagonal say of each candidate next to the baseline.
 
 Any further measurement shrinks P. This table says how certain a filter is, never how right; `errors` and `consistency`
-do. The standard deviations are read where a filter has just used a ping: between pings they grow, so that any other
-time would measure the time since the last ping. The end of the dive is its last ping.
+do. It is read where a filter has just used a ping, since between pings P grows; the end of the dive is the last ping.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES, State
-from insdvl_replay.core.table import Number, finite
+from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow
 from insdvl_replay.core.words import ImprovementStatus
 
@@ -65,22 +64,21 @@ def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: 
     rows = [row for row in table if row.filter == candidate and row.state in _NINE]
     if any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
         return float("nan")
-    return _mean([row.improvement_pct for row in rows])
+    return _mean(finite(row.improvement_pct) for row in rows)
 
 
 def unchanged_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
     """Average over the same states the improvement of a candidate that changes nothing."""
     rows = [row for row in table if row.filter == candidate and row.state in _NINE]
-    return _mean([improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows])
+    return _mean(improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows)
 
 
 def nearest_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
     """Average over the same states the improvement by the nearest approach, see `convergence.nearest_approach_s`."""
     rows = [row for row in table if row.filter == candidate and row.state in _NINE]
-    return _mean([row.nearest_approach_improvement_pct for row in rows])
+    return _mean(finite(row.nearest_approach_improvement_pct) for row in rows)
 
 
-def _mean(improvements_pct: Sequence[Number]) -> float:
-    if len(improvements_pct) != len(NINE):
-        return float("nan")
-    return float(np.mean(np.nan_to_num([finite(change_pct) for change_pct in improvements_pct])))
+def _mean(improvements_pct: Iterable[float]) -> float:
+    found = np.nan_to_num(list(improvements_pct))
+    return float(np.mean(found)) if len(found) == len(NINE) else float("nan")

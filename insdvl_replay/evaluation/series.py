@@ -30,15 +30,12 @@ BIAS_ROUNDS: Final = 3
 """The bias depends on the correlation time that it biases: so many iterations bring the two to agree."""
 SLOW: Final = 0.5
 """Correlation of neighbouring averages, in its standard deviations for independent ones, that shows a slow part."""
-FEWEST_AVERAGES: Final = 10
-"""Fewer averages of neighbours show no slow part."""
+FEWEST_AVERAGES: Final = 10  # Fewer averages of neighbours show no slow part.
 WINDOW_TIMES: Final = 5.0
 """The sum of squared autocorrelations stops at the first lag beyond so many correlation times: the rest is noise."""
 
-MARGIN: Final = 0.05
-"""A smaller difference does not matter."""
-FEWEST_EFFECTIVE: Final = 6.0
-"""Fewer independent samples of one dive decide nothing."""
+MARGIN: Final = 0.05  # A smaller difference does not matter.
+FEWEST_EFFECTIVE: Final = 6.0  # Fewer independent samples of one dive decide nothing.
 LARGEST_P: Final = 0.01
 """A row decides below it. On equal filters any row of three dives decides in 0.2 % of cases (`make judge`)."""
 SETTLED: Final = 0.10
@@ -57,10 +54,8 @@ FEWEST_CORRELATED: Final = 20
 """Fewer windows do not show how they are correlated. Each is a restart: over simulated dives they are not."""
 MOST_VALUES: Final = 1000
 """Neighbours of a longer series are averaged first, so that hours at 10 Hz take no longer than minutes."""
-TAILS: Final = (0.975, 0.95)
-"""Upper ends of the 95 % interval, and of the 90 % interval for equivalence."""
-NORMAL: Final = 1e6
-"""With so many degrees of freedom Student's distribution is the normal one."""
+TAILS: Final = (0.975, 0.95)  # Upper ends of the 95 % interval, and of the 90 % interval for equivalence.
+NORMAL: Final = 1e6  # With so many degrees of freedom Student's distribution is the normal one.
 NAN: Final = float("nan")
 
 
@@ -78,9 +73,9 @@ def thinned(time_ns: TimeNs, step_s: float) -> NDArray[np.int64]:
 def samples_in_mean(values: Floats) -> float:
     """Return how many independent values would have a mean as certain as that of an evenly spaced series.
 
-    That is ``n / tau`` with ``tau = 1 + 2 sum (1 - j/n) rho_j`` up to the first change of sign. Each correlation comes
-    out too small by about ``tau / n``, since the mean is estimated from the same values; this is put back. Fast noise
-    hides a slow part, whose correlations are small but many: averages of neighbours show it.
+    That is ``n / tau`` with ``tau = 1 + 2 sum (1 - j/n) rho_j`` up to the first change of sign, and the bias of
+    ``rho_j`` about the estimated mean, ``tau / n``, put back. Averages of neighbours show a slow part that fast noise
+    hides.
     """
     n = len(values)
     if n < 2:
@@ -112,10 +107,9 @@ def _correlation_time(values: Floats) -> float:
 def samples_in_mean_square(standardised: Floats) -> float:
     """Return the number of independent samples whose mean square would scatter as much as that of a series.
 
-    The series, shape (k, n), is evenly spaced: errors in their own standard deviations, n uncorrelated components. The
-    mean square of k normal values with autocorrelation ``r_j`` has the variance of one square over ``k / tau``, with
-    ``tau = 1 + 2 sum (1 - j/k) r_j^2``; tau is averaged over components. The mean is not subtracted: an error that
-    stays is one sample. What averages of neighbours make of it counts where it is more.
+    The series, shape (k, n), is evenly spaced: errors in their own standard deviations, n uncorrelated components. It
+    is ``k / tau`` with ``tau = 1 + 2 sum (1 - j/k) r_j^2`` in the mean over components. The mean is not subtracted: an
+    error that stays is one sample. What averages of neighbours make of it counts where it is more.
     """
     shares = []
     for series in standardised.T:
@@ -253,12 +247,10 @@ def paired_ratio(
 ) -> RatioInterval:
     """Return the ratio of root mean squares of two filters' errors over the same times of one dive.
 
-    The variance of its logarithm is that over moving blocks of time, drawn alike for both filters and all starts. With
-    several starts the variance over starts is added. The interval is Student's, with the number of blocks and of starts
-    for its freedom. Times at which an error is not finite are left out.
-
-    One run beside several is one draw of a start: the ratio is the mean of logarithms, and the scatter of starts counts
-    once for the run and once over the number of starts for the mean that it is compared with.
+    The variance of its logarithm is that over moving blocks of time, drawn alike for both filters and all starts, and
+    that over starts. The interval is Student's, with the number of blocks and of starts for its freedom. One run beside
+    several is one draw of a start: the ratio is the mean of logarithms, and the scatter of starts counts once for the
+    run and once over the number of starts for the mean. Times at which an error is not finite are left out.
     """
     baseline, candidate = np.atleast_2d(baseline_sq), np.atleast_2d(candidate_sq)
     one_run, starts = len(candidate) < len(baseline), len(baseline)

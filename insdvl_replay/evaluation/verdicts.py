@@ -1,16 +1,14 @@
 """The verdict on a candidate: what all evidence says of it, whether its prediction is confirmed, and in which words.
 
-What was measured comes first: better, worse, mixed, equivalent or undecided, by the words of each piece of evidence.
-That a filter predicts smaller errors is a second statement, which what was measured confirms or not; whether its
-innovations and errors are as large as it says is a third. Filters that diverged, or are set so wrong that gain or loss
-would be an accident, are not evaluated, and no candidate is next to such a baseline.
+What was measured comes first, by the words of each piece of evidence. That a filter predicts smaller errors is a second
+statement, which what was measured confirms or not; whether its innovations and errors are as large as it says is a
+third. Filters that diverged or are misconfigured are not evaluated, and no candidate is next to such a baseline.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Final, NamedTuple, Protocol, TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from insdvl_replay.core.dive_columns import NS_PER_S
@@ -28,7 +26,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.states import DVL_AIDING, NINE
 from insdvl_replay.core.table import Number, finite
-from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow, EvidenceRow, Tables
+from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow, EvidenceRow, PooledRow, Tables
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.errors import ReferenceErrors
@@ -37,40 +35,32 @@ from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.predicted import mean_over_nine, nearest_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.series import RatioInterval, what_settles
 
-NOTABLE_PCT: Final = 5.0
-"""A smaller gain is not spoken of as a predicted one."""
-BORNE_OUT: Final = 0.5
-"""Share of the predicted improvement that has to be measured."""
+NOTABLE_PCT: Final = 5.0  # A smaller gain is not spoken of as a predicted one.
+BORNE_OUT: Final = 0.5  # Share of the predicted improvement that has to be measured.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 """Quantities whose median change stands for the error against the reference."""
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.TOO_FEW)
 FEWEST_STARTS: Final = 8
 """From fewer drawn starts nothing is said of what is predicted: it is mostly that errors of the start wear off."""
-MANY_TIMES: Final = 3.0
-"""From here on, nobody reads percent."""
-MOST_NAMED: Final = 2
-"""So many pieces of evidence are in the sentence with their numbers; the others are in the table."""
-MANY_REOPENED: Final = 0.01
-"""Share of the pings; each comes after several that were rejected."""
-FEW: Final = 2
-"""So many rejections prove nothing, in however short a dive."""
+MANY_TIMES: Final = 3.0  # From here on, nobody reads percent.
+MOST_NAMED: Final = 2  # So many pieces of evidence are in the sentence with their numbers; the others are in the table.
+MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
+FEW: Final = 2  # So many rejections prove nothing, in however short a dive.
 LARGEST_NIS_PER_DOF: Final = 10.0
 """Innovations three times as large as a filter says come from what it does not know of: axes, units, clocks."""
 FARTHEST_PCT: Final = 20.0
 """Of the distance, while the DVL is there; dead reckoning by a DVL without any INS drifts less."""
 CONTRADICTIONS: Final = (
-    "beam_contradiction",
-    "dvl_contradiction",
-    "dvl_direction",
-    "imu_gyro_contradiction",
-    "imu_gyro_sign",
-    "imu_upside_down",
-    "reference_contradiction",
-    "start_heading_contradiction",
-    "track_contradiction",
-)
+    "beam_contradiction", "dvl_contradiction", "dvl_direction", "imu_gyro_contradiction", "imu_gyro_sign",
+    "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
+)  # fmt: skip
 """Notes on columns that cannot all be right."""
 SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
+ON_PREDICTION: Final = {
+    Belief.BORNE_OUT: ", and that is borne out",
+    Belief.NOT_BORNE_OUT: ", and that is NOT borne out",
+    Belief.UNDECIDED: ", and whether that is so is undecided",
+}
 AGAINST: Final = {
     Judgement.BETTER: "is BETTER than",
     Judgement.WORSE: "is WORSE than",
@@ -83,18 +73,9 @@ AGAINST: Final = {
 # --- The words of tables, taken together.
 
 
-class Piece(Protocol):
-    """One piece of evidence, of one dive or of several."""
-
-    @property
-    def evidence(self) -> str: ...  # noqa: D102
-    @property
-    def quantity(self) -> str: ...  # noqa: D102
-    @property
-    def word(self) -> str: ...  # noqa: D102
-
-
-P = TypeVar("P", bound=Piece)
+Piece = EvidenceRow | PooledRow
+"""One piece of evidence, of one dive or of several."""
+P = TypeVar("P", bound=EvidenceRow | PooledRow)
 
 
 def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Judgement:
@@ -122,7 +103,7 @@ def belief_of(predicted_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
     """Return the worst verdict among a filter's measurements.
 
-    Their axes say where and do not count: of eight tests one fails by chance in every third consistent filter.
+    Axes do not count: of eight tests one fails by chance in every third consistent filter.
     """
     words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
     return next((word for word in WORST_FIRST if word in words), Consistency.TOO_FEW if words else Consistency.NOT_TOLD)
@@ -191,59 +172,38 @@ def not_evaluated(
 def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
     """Return by filter what is wrong with it; sound ones are left out.
 
-    A filter has diverged where its state is not finite, where its gate rejected more than `MANY_REJECTED` of its
-    leading measurement, or where it was set to the DVL again more than once and at more than `MANY_REOPENED` of its
-    pings. What a gate rejects of a sound filter by chance is allowed for. What a partial solution leaves out it leaves
-    out.
+    Its state is not finite, its gate rejected more than `MANY_REJECTED` of what it depends on, or it was set to the DVL
+    again more than once and at more than `MANY_REOPENED` of its pings; by more than chance. What a partial solution
+    leaves out it leaves out.
     """
     found = {}
     for history in (history for history in histories if not history.is_partial):
-        name, lead = history.filter, _leading(history)
-        columns = (
-            *(history.sd, history.position, history.velocity_n, history.mat_nb),
-            *(history.accel_bias_b, history.gyro_bias_b),
-        )
-        known = np.all([np.isfinite(column.reshape(len(column), -1)).all(axis=1) for column in columns], axis=0)
+        name, states = history.filter, ("sd", "position", "velocity_n", "mat_nb", "accel_bias_b", "gyro_bias_b")
+        columns = [getattr(history, state).reshape(len(history.time_ns), -1) for state in states]
+        known = np.isfinite(np.hstack(columns)).all(axis=1)
+        used = [met for met in history.innovations if is_used(met.measurement)]
         if not known.all():
             first_s = (history.time_ns[np.argmin(known)] - history.time_ns[0]) / NS_PER_S
             found[name] = f"the state of {name} is not finite from {first_s:.1f} s on"
-        elif lead is not None:
-            count, total, reopened = int(lead.rejected.sum()), len(lead.rejected), len(history.reopened_ns)
-            if count > max(FEW, (MANY_REJECTED + lead.by_chance) * total):
-                found[name] = f"{name} rejected {count} of {total} {lead.measurement}"
-            elif reopened > max(1.0, (MANY_REOPENED + lead.by_chance**lead.reopen_after) * total):
-                # It is not thrown off once, but errs all the time, and is saved from itself every so often.
-                found[name] = f"{name} lost its way {reopened} times in {total} {lead.measurement}"
+        if not known.all() or not used:
+            continue
+        # It depends on the pings of the beams, else on the velocities, else on what it is aided by first. A ping is
+        # rejected where all beams that were heard are; by chance, at most as one is.
+        beams = [met for met in used if is_beam(met.measurement)]
+        lead = next((met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0])
+        by_chance = float(chdtrc(lead.dof, lead.gate))
+        lost, measurement = rejected(lead), f"{lead.measurement} innovations"
+        if beams:
+            times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
+            lost, measurement = np.ones(len(times), np.bool_), "pings"
+            lost[ping[~np.concatenate([rejected(beam) for beam in beams])]] = False
+        count, total, reopened = int(lost.sum()), len(lost), len(history.reopened_ns)
+        if count > max(FEW, (MANY_REJECTED + by_chance) * total):
+            found[name] = f"{name} rejected {count} of {total} {measurement}"
+        elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
+            # It is not thrown off once, but errs all the time, and is saved from itself every so often.
+            found[name] = f"{name} lost its way {reopened} times in {total} {measurement}"
     return found
-
-
-class _Leading(NamedTuple):
-    """The measurement that a filter depends on: which the gate rejected, and which share of them it would by chance."""
-
-    measurement: str
-    rejected: NDArray[np.bool_]
-    by_chance: float
-    reopen_after: int
-
-
-def _leading(history: History) -> _Leading | None:
-    """Return the pings of the beams, else the velocities, else what a filter is aided by first.
-
-    A ping is rejected where all beams that were heard are; by chance, at most as one is.
-    """
-    used = [innovations for innovations in history.innovations if is_used(innovations.measurement)]
-    beams = [innovations for innovations in used if is_beam(innovations.measurement)]
-    if beams:
-        times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
-        passed = np.zeros(len(times), np.bool_)
-        passed[ping[~np.concatenate([rejected(beam) for beam in beams])]] = True
-        return _Leading("pings", ~passed, float(chdtrc(1, beams[0].gate)), beams[0].reopen_after)
-    velocities = [innovations for innovations in used if innovations.measurement == "velocity"]
-    first = next(iter((*velocities, *used)), None)
-    if first is None:
-        return None
-    by_chance = float(chdtrc(first.dof, first.gate))
-    return _Leading(f"{first.measurement} innovations", rejected(first), by_chance, first.reopen_after)
 
 
 def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
@@ -298,17 +258,30 @@ def verdicts(
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
         wrong = unsound.get(candidate, "")
-        if wrong:
-            judgement, belief = Judgement.NOT_JUDGED, Belief.UNDECIDED
-            measured = f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
-        else:
+        judgement, belief = Judgement.NOT_JUDGED, Belief.UNDECIDED
+        measured = f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
+        if not wrong:
             judgement, belief = judgement_of(evidence), belief_of(predicted_pct, evidence)
-            measured = (
-                f"{_measured(candidate, baseline, judgement, evidence)}"
-                f"{_on_prediction(candidate, baseline, predicted_pct, tables)}"
-            )
-            if predicted_pct >= NOTABLE_PCT and has_reference:
-                measured += _on_belief(belief, evidence)
+            measured = _measured(candidate, baseline, judgement, evidence)
+            # What is predicted; nothing of a solution that says nothing of that.
+            told = {row.state for row in tables.improvement if row.filter == candidate}
+            if not told >= {state.id for state in NINE}:
+                measured += ". It says how sure it is of some states alone" if told else ""
+            elif not np.isfinite(predicted_pct):
+                measured += ". It believes in nothing finite"
+            elif abs(predicted_pct) < NOTABLE_PCT:
+                measured += f". It believes in errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
+            else:
+                size = "smaller" if predicted_pct > 0 else "larger"
+                measured += f". It believes in {abs(predicted_pct):.1f} % {size} errors"
+            # Whether that is confirmed; that there is no reference is said of the dive, once.
+            starts = [row.starts for row in evidence if row.evidence == "accuracy"]
+            if predicted_pct >= NOTABLE_PCT and has_reference and not starts:
+                measured += ", and the reference does not tell whether that is so"
+            elif predicted_pct >= NOTABLE_PCT and has_reference and max(starts) < FEWEST_STARTS:
+                measured += f", and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
+            elif predicted_pct >= NOTABLE_PCT and has_reference:
+                measured += ON_PREDICTION[belief]
         trust = trust_sentence(tables, candidate, baseline)
         shared = "" if independent or not has_reference else f" {SHARED}"
         changes = [
@@ -374,9 +347,11 @@ def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str]
         Judgement.MIXED: (EvidenceWord.BETTER, EvidenceWord.WORSE),
         Judgement.EQUIVALENT: (EvidenceWord.EQUIVALENT,),
     }.get(judgement, (EvidenceWord.UNDECIDED,))
-    known = [row for row in rows if row.quantity in deciding]
-    first = ({row.evidence: row for row in reversed(known) if row.word == word} for word in words)
-    return [row for kinds in first for row in [*reversed(kinds.values())][: MOST_NAMED // len(words)]]
+    known, spoken = [row for row in rows if row.quantity in deciding], list[P]()
+    for word in words:
+        kinds: dict[str, P] = {row.evidence: row for row in reversed(known) if row.word == word}
+        spoken += [*reversed(kinds.values())][: MOST_NAMED // len(words)]
+    return spoken
 
 
 def changed(quantity: str, ratio: float) -> str:
@@ -396,32 +371,6 @@ def interval_in_words(ratio: Number, low: Number, high: Number) -> str:
         return f"{finite(low):.3g} to {finite(high):.3g} times"
     low_pct, high_pct = (100.0 * (finite(end) - 1.0) for end in (low, high))
     return f"{low_pct:+z.1f} to {high_pct:+z.1f} %"
-
-
-def _on_prediction(candidate: str, baseline: str, predicted_pct: float, tables: Tables) -> str:
-    """Say what is predicted; nothing of a solution that says nothing of that."""
-    told = {row.state for row in tables.improvement if row.filter == candidate}
-    if not told >= {state.id for state in NINE}:
-        return ". It says how sure it is of some states alone" if told else ""
-    if not np.isfinite(predicted_pct):
-        return ". It believes in nothing finite"
-    if abs(predicted_pct) < NOTABLE_PCT:
-        return f". It believes in errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
-    return f". It believes in {abs(predicted_pct):.1f} % {'smaller' if predicted_pct > 0 else 'larger'} errors"
-
-
-def _on_belief(belief: Belief, evidence: Sequence[EvidenceRow]) -> str:
-    """Say whether what is predicted is confirmed; that there is no reference is said of the dive, once."""
-    measured = [row for row in evidence if row.evidence == "accuracy"]
-    if not measured:
-        return ", and the reference does not tell whether that is so"
-    if max(row.starts for row in measured) < FEWEST_STARTS:
-        return f", and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
-    return {
-        Belief.BORNE_OUT: ", and that is borne out",
-        Belief.NOT_BORNE_OUT: ", and that is NOT borne out",
-        Belief.UNDECIDED: ", and whether that is so is undecided",
-    }[belief]
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:

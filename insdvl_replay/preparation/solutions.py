@@ -152,7 +152,8 @@ def history_of(
         cov=cov,
         innovations=(),
         states=STATES,
-        is_read=True,
+        is_partial=True,
+        has_own_start=True,
         is_turned=is_turned,
     )
 

@@ -23,7 +23,7 @@ def found(way_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIME_
     time_ns = np.round(time_s * 1e9).astype(np.int64)
     origin = np.broadcast_to([0.57, 0.61, -5.0], way_n.shape)
     motion = ReferenceColumns(time_ns, moved_position(origin, way_n), velocity_n, np.full((len(way_n), 3, 3), np.nan))
-    beside = replace(history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_read=True)
+    beside = replace(history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_partial=True)
     (row,) = jump_table("dive", [beside], {"onboard": motion})
     return row
 

@@ -114,14 +114,14 @@ def write_replay(
 def _filter_batches(history: History, errors: Errors | None, origin: Floats) -> Iterator[Batch]:
     topic = f"/insdvl/{history.filter}"
     motion = history.motion()
-    yield _solution(f"{topic}/state", motion) if history.is_read else _state(f"{topic}/state", history)
+    yield _solution(f"{topic}/state", motion) if history.is_partial else _state(f"{topic}/state", history)
     if history.believed.any():
         yield _sigma(f"{topic}/sigma", history)
     if errors is not None:
         yield _error(f"{topic}/error", errors)
     for innovations in history.innovations:
         yield _innovation(f"{topic}/innovation/{innovations.measurement}", innovations)
-    if not history.is_read:
+    if not history.is_partial:
         yield _odometry(f"{topic}/odometry", motion, origin)
         yield _fix(f"{topic}/fix", motion)
         return
