@@ -22,7 +22,7 @@ from insdvl_replay.cli.options import (
 
 if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
-    from insdvl_replay.inspection.inventory import Inventory
+    from insdvl_replay.inspection.survey import Inventory
 
 
 def inspect(
@@ -102,7 +102,7 @@ def _propose(
     """Write settings; what is left to a person is said on stderr too."""
     from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.inspection.settings_file import settings_file
+    from insdvl_replay.inspection.trial_runs import settings_file
     from insdvl_replay.results.folder import result_file
 
     with spinner(f"trying settings{compiling()}"):
@@ -121,7 +121,7 @@ def _propose(
 
 def _print(inventory: "Inventory", format_: Format, *, is_first: bool) -> None:
     from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.inspection.document import inventory_csv, inventory_document
+    from insdvl_replay.inspection.survey import inventory_csv, inventory_document
     from insdvl_replay.results.json_report import as_json
 
     text = in_format(

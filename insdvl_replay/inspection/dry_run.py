@@ -16,11 +16,10 @@ from insdvl_replay.checks.imu import Check
 from insdvl_replay.checks.plausibility import plausibility_checks
 from insdvl_replay.checks.reference import says_anything
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import DvlColumns, ImuColumns, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_columns import ImuColumns, seconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
 from insdvl_replay.core.words import Severity
-from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.roles import Finding, RoleColumns
@@ -39,9 +38,39 @@ _MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
 _LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
 _LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
 
-
 OnError = Callable[[UserError], None]
 """What is done about an error that would end a replay."""
+
+
+@dataclass(frozen=True)
+class PingFacts:
+    """How many messages of the DVL are pings of their own, and how many beams these have."""
+
+    messages: int  # all that were read
+    repeats: int  # those that repeat the one before
+    pings: int  # those that can be used
+    four_or_more: int  # pings by their beams; all 0 where the DVL reports velocities only
+    three: int
+    fewer: int
+    rate_hz: float | None  # one over the median time between pings
+
+
+@dataclass(frozen=True)
+class ReferenceFacts:
+    """What the reference gives, and over which part of the IMU's span, from the first to the last row that has it."""
+
+    rows: int
+    position_pct: float
+    velocity_pct: float
+    attitude_pct: float
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """What would stop a replay: the error that ``run`` would end with."""
+
+    message: str
+    hint: str
 
 
 @contextmanager
@@ -55,92 +84,81 @@ def errors_to(on_error: OnError) -> Iterator[None]:
 
 @dataclass
 class DryRun:
-    """Looks at the messages, role by role, and keeps what it finds.
-
-    Deep reads the messages whole, not only the first of each topic. The clocks are those of the topics that play a
-    role, then of the others. Doubted are those of several topics for one role of which there is a warning, and
-    refused those with which a replay would stop, with the reason.
-    """
+    """Looks at the messages, role by role, and keeps what it finds."""
 
     log: Recording
     config: Config
-    deep: bool
-    clocks: list[Clock] = field(default_factory=list)
+    deep: bool  # reads the messages whole, not only the first of each topic
+    clocks: list[Clock] = field(default_factory=list)  # of the topics with a role, then of the others
     notes: list[Note] = field(default_factory=list)
     obstacles: list[Obstacle] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
-    doubted: set[str] = field(default_factory=set)
-    refused: dict[str, str] = field(default_factory=dict)
+    doubted: set[str] = field(default_factory=set)  # of several topics for one role, those of which there is a warning
+    refused: dict[str, str] = field(default_factory=dict)  # and those with which a replay would stop, with the reason
     columns: RoleColumns = field(init=False)
-    _other_imus: dict[str, ImuColumns] = field(default_factory=dict)
-    _own_clocks: list[Clock] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.columns = RoleColumns(str(self.log.path), self.config)
 
     def examine(self, findings: Sequence[Finding]) -> None:
         """Look at all topics that play a role or could."""
+        own_clocks: list[Clock] = []
+        other_imus: dict[str, ImuColumns] = {}
         for finding in findings:
             if finding.error is not None:
                 self._add_obstacle(finding.error)
-            self._look_at(finding)
+            tables: list[Table] = []
+            with errors_to(self._add_obstacle):
+                read = [self._read(source, self._add_obstacle) for source in finding.sources]
+                self._remark([*schema_notes(finding.sources), *stamp_notes(read)])
+                if self.deep:
+                    self._remark(loss_notes(read))
+                tables = read
+                own_clocks += self.clocks[len(self.clocks) - len(read) :]
+            if tables and finding.role != "truth":
+                with errors_to(partial(self._not_decoded, finding.role)):
+                    self._decode(finding.role, tables)
+            # What is wrong with one of several topics is no obstacle yet.
             for source in finding.candidates:
-                self._look_at_candidate(source)
+                doubt = partial(self._doubt, source.topic)
+                with errors_to(doubt):
+                    table = self._read(source, doubt)
+                    if source.role == "imu":
+                        other_imus[source.topic], _ = decode_imu(table, self.config.imu)
+                    elif source.role == "reference":
+                        columns, _ = decode_reference([table], self.config.reference, self.config.initial)
+                        if columns is not None and not says_anything(columns):
+                            text = "has neither an attitude nor a velocity that is not zero in all messages"
+                            raise LogError(text, "", *table.where)
+                    if own_clocks and own_clocks[0].role == "imu":
+                        self.columns.clock_notes([own_clocks[0], self.clocks[-1]])
         if self.columns.imu is not None:
             with errors_to(self._add_obstacle):
-                self._remark(self.columns.clock_notes(self._own_clocks))
-            self._check(self.columns.imu)
-        for topic, imu in self._other_imus.items():
-            self._check_candidate(topic, imu)
+                self._remark(self.columns.clock_notes(own_clocks))
+            for check in self._checks(self.columns.imu):
+                with errors_to(self._add_obstacle):
+                    self._remark(check())
+        for topic, imu in other_imus.items():
+            for check in self._checks(imu):
+                with errors_to(partial(self._doubt, topic)):
+                    about_imu = [note for note in check() if note.code.startswith("imu")]
+                    if any(note.severity == Severity.WARNING for note in about_imu):
+                        self.doubted.add(topic)
+                    self._remark(replace(note, text=f"{topic}: {note.text}") for note in about_imu)
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
         """Look at the clocks of topics without a role, as far as their messages have a header."""
-        for channel in filter(_has_header, channels):
-            source = Source("", channel.topic, channel.type_name, (channel,), {}, "header", 0.0)
+        for channel in channels:
             try:
-                self.clocks.append(read_sample(self.log, source, _ENOUGH_OF_OTHERS).clock())
-            except UserError as error:
-                self.notes.append(Note("other_clock", error.message))
-
-    def _look_at(self, finding: Finding) -> None:
-        tables: list[Table] = []
-        with errors_to(self._add_obstacle):
-            read = [self._read(source, self._add_obstacle) for source in finding.sources]
-            self._remark([*schema_notes(finding.sources), *stamp_notes(read)])
-            if self.deep:
-                self._remark(loss_notes(read))
-            tables = read
-            self._own_clocks += self.clocks[len(self.clocks) - len(read) :]
-        if tables and finding.role != "truth":
-            with errors_to(partial(self._not_decoded, finding.role)):
-                self._decode(finding.role, tables)
-
-    def _not_decoded(self, role: str, error: UserError) -> None:
-        if self.deep or role == "imu" or isinstance(error, ConfigError):
-            self._add_obstacle(error)
-            return
-        # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
-        text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
-        self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
-
-    def _look_at_candidate(self, source: Source) -> None:
-        """Keep what one of several topics would give; what is wrong with it is no obstacle yet."""
-        doubt = partial(self._doubt, source.topic)
-        with errors_to(doubt):
-            table = self._read(source, doubt)
-            if source.role == "imu":
-                self._other_imus[source.topic], _ = decode_imu(table, self.config.imu)
-            elif source.role == "reference":
-                self._look_at_reference(table)
-            if self._own_clocks and self._own_clocks[0].role == "imu":
-                self.columns.clock_notes([self._own_clocks[0], self.clocks[-1]])
-
-    def _look_at_reference(self, table: Table) -> None:
-        """Doubt a topic that has the type of a reference, and in it nothing that one would tell."""
-        columns, _ = decode_reference([table], self.config.reference, self.config.initial)
-        if columns is not None and not says_anything(columns):
-            raise LogError("has neither an attitude nor a velocity that is not zero in all messages", "", *table.where)
+                check_encoding(channel)
+                has_header = channel.messages > 0 and "header.stamp" in channel_paths(channel)
+            except UserError:  # what cannot be read is no matter where nobody needs it
+                continue
+            if has_header:
+                source = Source("", channel.topic, channel.type_name, (channel,), {}, "header", 0.0)
+                with errors_to(lambda error: self.notes.append(Note("other_clock", error.message))):
+                    self.clocks.append(read_sample(self.log, source, _ENOUGH_OF_OTHERS).clock())
 
     def _read(self, source: Source, on_error: OnError) -> Table:
         """Read a topic; where its stamps are no times, report it and go on with the recorder's."""
@@ -160,23 +178,30 @@ class DryRun:
         columns, messages = self.columns, len(tables[0])
         notes = columns.decode(role, tables)
         if role == "dvl":
-            self.pings = _ping_facts(messages, columns.dvl, notes)
+            dvl = columns.dvl
+            repeats = sum(note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values"))
+            steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
+            rate_hz = 1.0 / float(np.median(steps_s)) if steps_s.size else None
+            beams = np.empty(0) if dvl.beam_velocity_mps is None else np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
+            four, three, fewer = (int(np.count_nonzero(part)) for part in (beams > 3, beams == 3, beams < 3))
+            self.pings = PingFacts(messages, repeats, len(dvl.time_ns), four, three, fewer, rate_hz)
         elif columns.reference is not None and columns.imu is not None and self.deep:
-            self.reference = _reference_facts(columns.reference, columns.imu)
+            reference, (first_ns, last_ns) = columns.reference, columns.imu.time_ns[[0, -1]].tolist()
+            parts_pct = []
+            for values in (reference.position[:, :2], reference.velocity_n, reference.mat_nb.reshape(-1, 9)):
+                time_ns = reference.time_ns[np.isfinite(values).all(axis=1)].clip(first_ns, last_ns)
+                covered_ns = int(time_ns[-1] - time_ns[0]) if len(time_ns) else 0
+                parts_pct.append(100.0 * covered_ns / max(last_ns - first_ns, 1))
+            self.reference = ReferenceFacts(len(reference.time_ns), *parts_pct)
         self._remark(notes)
 
-    def _check(self, imu: ImuColumns) -> None:
-        for check in self._checks(imu):
-            with errors_to(self._add_obstacle):
-                self._remark(check())
-
-    def _check_candidate(self, topic: str, imu: ImuColumns) -> None:
-        for check in self._checks(imu):
-            with errors_to(partial(self._doubt, topic)):
-                about_imu = [note for note in check() if note.code.startswith("imu")]
-                if any(note.severity == Severity.WARNING for note in about_imu):
-                    self.doubted.add(topic)
-                self._remark(replace(note, text=f"{topic}: {note.text}") for note in about_imu)
+    def _not_decoded(self, role: str, error: UserError) -> None:
+        if self.deep or role == "imu" or isinstance(error, ConfigError):
+            self._add_obstacle(error)
+            return
+        # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
+        text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
+        self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
 
     def _checks(self, imu: ImuColumns) -> tuple[Check, ...]:
         return plausibility_checks(str(self.log.path), imu, self.columns.dvl, self.columns.reference, self.config)
@@ -198,38 +223,3 @@ class DryRun:
 
     def _add_obstacle(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
-
-
-def _has_header(channel: LogChannel) -> bool:
-    """Return whether a channel has messages with a stamp; what cannot be read is no matter where nobody needs it."""
-    try:
-        check_encoding(channel)
-        return channel.messages > 0 and "header.stamp" in channel_paths(channel)
-    except UserError:
-        return False
-
-
-def _ping_facts(messages: int, dvl: DvlColumns, notes: Sequence[Note]) -> PingFacts:
-    repeats = sum(note.count for note in notes if note.code in ("dvl_repeats", "dvl_same_values"))
-    steps_s = np.diff(seconds(dvl.time_ns, int(dvl.time_ns[0])))
-    rate_hz = 1.0 / float(np.median(steps_s)) if steps_s.size else None
-    if dvl.beam_velocity_mps is None:
-        return PingFacts(messages, repeats, len(dvl.time_ns), 0, 0, 0, rate_hz)
-    beams = np.isfinite(dvl.beam_velocity_mps).sum(axis=1)
-    four_or_more, three, fewer = (int(np.count_nonzero(part)) for part in (beams > 3, beams == 3, beams < 3))
-    return PingFacts(messages, repeats, len(dvl.time_ns), four_or_more, three, fewer, rate_hz)
-
-
-def _reference_facts(reference: ReferenceColumns, imu: ImuColumns) -> ReferenceFacts:
-    given = (reference.position[:, :2], reference.velocity_n, reference.mat_nb.reshape(-1, 9))
-    parts = [_covered_pct(reference.time_ns[np.isfinite(values).all(axis=1)], imu.time_ns) for values in given]
-    return ReferenceFacts(len(reference.time_ns), *parts)
-
-
-def _covered_pct(time_ns: TimeNs, imu_time_ns: TimeNs) -> float:
-    """Return the part of the IMU's span that lies between the first and the last of some times."""
-    first_ns, last_ns = int(imu_time_ns[0]), int(imu_time_ns[-1])
-    if not time_ns.size or last_ns == first_ns:
-        return 0.0
-    covered_ns = min(last_ns, int(time_ns[-1])) - max(first_ns, int(time_ns[0]))
-    return max(0.0, 100.0 * covered_ns / (last_ns - first_ns))

@@ -2,91 +2,548 @@
 
 In three steps, each of which reads with what the one before has found: who plays which role, with which fields and
 stamps; what units and axes those show; and whether their clocks agree. What then stops a replay is said too.
+
+Each setting has what was seen, what else could be meant, and whether a person must decide. A key whose value only a
+person can know stands as a comment; every other has the likeliest value, so that a proposal is a file that can be used
+as it is.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Final
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
 
-from insdvl_replay.checks.plausibility import gyro_scale
-from insdvl_replay.core.config import Config, Initial
+import msgspec
+import numpy as np
+
+from insdvl_replay.checks.dvl import dvl_by_velocity
+from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
+from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale, gyro_scale
+from insdvl_replay.checks.reference import velocity_misfit
+from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.dive_columns import ImuColumns
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed
-from insdvl_replay.core.states import BY_SENSOR
-from insdvl_replay.inspection.dry_run import DryRun
-from insdvl_replay.inspection.dvl_proposal import dvl_settings, dvl_topic, measured_dvl
-from insdvl_replay.inspection.imu_proposal import corrected_rates, imu_settings, imu_topic, measured_imu, measured_scale
-from insdvl_replay.inspection.inventory import Obstacle
-from insdvl_replay.inspection.proposed_settings import (
-    Setting,
-    not_yet_set,
-    recorder_stamps,
-    settings_toml,
-    undecided_keys,
-    with_settings,
+from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.states import (
+    ANGULAR_RATE_UNITS,
+    BY_SENSOR,
+    DEG,
+    GRAVITY_MPS2,
+    SENSORS,
+    SPECIFIC_FORCE_UNITS,
+    VELOCITY_UNITS,
 )
-from insdvl_replay.inspection.reference_proposal import measured_reference, reference_settings, reference_topic
-from insdvl_replay.inspection.topic_probe import ProbedTopic, probe_topics
+from insdvl_replay.geometry.frames import MAT_FRD_FLU
+from insdvl_replay.inspection.dry_run import DryRun, Obstacle
+from insdvl_replay.inspection.probe import Candidate, ProbedTopic, probe_topics, time_paths
+from insdvl_replay.logs.columns.imu import FRD, in_frd
+from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.roles import Finding, find_roles
-from insdvl_replay.logs.columns.tables import clock_notes
-from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.recording import Recording
+from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
+from insdvl_replay.logs.columns.tables import LARGEST_JITTER_S, clock_notes, stamp_path, stamp_unit
+from insdvl_replay.logs.columns.topic_requirements import PROPOSED, Source
+from insdvl_replay.logs.container.recording import Recording, open_recording
 
-_NEEDED: Final = {"imu": ("specific_force", "angular_rate"), "dvl": ("velocity",)}
-_INSTEAD: Final = {"velocity": ("beam_velocity =  # one number for each beam",)}
+
+@dataclass(frozen=True)
+class Setting:
+    """One proposed setting."""
+
+    key: str  # section and name, such as ``imu.topic``
+    value: Any  # None where only a person can know it
+    seen: str = ""  # what speaks for the value
+    open: str = ""  # what there is to decide; empty where what was seen settles it
+    others: tuple[str, ...] = ()  # TOML lines that could stand in its place, with what was seen behind ``  # ``
+    listed: tuple[str, ...] = ()  # what there is to choose from, line by line
+
+    @property
+    def section(self) -> str:
+        """Name of the table in which it stands."""
+        return self.key.partition(".")[0]
+
+    @property
+    def name(self) -> str:
+        """Its name in this table."""
+        return self.key.partition(".")[2]
+
+
+def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
+    """Set what has a value."""
+    for setting in settings:
+        if setting.value is not None:
+            section = msgspec.structs.replace(getattr(config, setting.section), **{setting.name: setting.value})
+            config = msgspec.structs.replace(config, **{setting.section: section})
+    return config
+
+
+def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
+    """Leave out the keys that the configuration has set already."""
+    kept, default = [], Config()
+    for setting in settings:
+        now, before = (getattr(getattr(given, setting.section), setting.name) for given in (config, default))
+        kept += [setting] if setting.value is None or now == before else []
+    return kept
+
+
+def ordered(settings: Iterable[Setting]) -> list[Setting]:
+    """Return the latest setting of each key, section by section."""
+    latest = {setting.key: setting for setting in settings}
+    return sorted(latest.values(), key=lambda setting: Config.__struct_fields__.index(setting.section))
+
+
+def undecided_keys(settings: Iterable[Setting]) -> tuple[str, ...]:
+    """Name the keys about which a person must decide."""
+    return tuple(setting.key for setting in ordered(settings) if setting.open)
+
+
+def settings_toml(settings: Iterable[Setting]) -> str:
+    """Write settings as TOML with comments."""
+    sections = []
+    for section, group in groupby(ordered(settings), lambda setting: setting.section):
+        lines = [f"[{section}]"]
+        for setting in group:
+            lines += comment_lines(setting.seen)
+            lines += comment_lines(f"decide: {setting.open}" if setting.open else "")
+            lines += [f"#   {visible(line)}" for line in setting.listed]
+            is_known = setting.value is not None
+            lines.append(f"{setting.name} = {toml_value(setting.value)}" if is_known else f"# {setting.name} =")
+            for other in setting.others:
+                value, _, seen = other.partition("  # ")
+                lines += [*comment_lines(seen), f"# or {visible(value)}"]
+        sections.append("".join(f"{line}\n" for line in lines))
+    return "\n".join(sections)
+
+
+def comment_lines(text: str) -> list[str]:
+    """Fold a comment at words."""
+    return textwrap.wrap(
+        visible(text),
+        79,
+        initial_indent="# ",
+        subsequent_indent="#   ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _fields(key: str, candidates: Sequence[Candidate], doubt: str = "") -> Setting:
+    """Propose the first of some fields, with the others as what could stand in its place."""
+    first, *others = candidates
+    name = key.partition(".")[2]
+    return Setting(key, first.path, str(first), doubt, tuple(f'{name} = "{other.path}"  # {other}' for other in others))
+
+
+# --- The clocks.
+
+_ENOUGH: Final = 1000
+_HEADER: Final = "header.stamp"
+_CLOCK_NAMES: Final = re.compile(r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$")
+_MOST_SPREAD: Final = 0.05
+"""Share of the sample's length by which a clock may wander; what counts from the message before does not run at all."""
+
+
+def _apart(clock: Clock) -> str:
+    return f"log time minus stamp is {clock.log_minus_stamp_s:.3f} s in the median"
+
+
+def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Setting:
+    """Propose what stamps the messages of a topic: a field that keeps step with the recorder's clock."""
+    clocks: list[tuple[Clock, str]] = []
+    times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
+    named = [path for path in seen.scalars if _CLOCK_NAMES.search(path.rpartition(".")[2].lower())]
+    for path in (*times, *named):
+        stamp = "header" if path == _HEADER else path
+        source = Source("", seen.topic, seen.channel.type_name, (seen.channel,), {}, stamp, 0.0)
+        with suppress(LogError):
+            table = read_sample(log, source, _ENOUGH)
+            clock, recorded = table.clock(), table.columns["log_time"][:, 0]
+            spread_s = min(LARGEST_JITTER_S, _MOST_SPREAD * float(recorded[-1] - recorded[0]) * 1e-9)
+            if clock.messages < 2 or clock.spread_s < spread_s:
+                numbers = table.stamp_numbers
+                clocks.append((clock, "" if numbers is None else f", read as {stamp_unit(numbers, recorded)[1]},"))
+    if not clocks:
+        text = "no field of the messages keeps step with the recorder's clock"
+        return Setting(f"{role}.stamp", "log_time", text)
+    (clock, unit), *others = clocks
+    text = f"'{stamp_path(clock.stamp)}'{unit} keeps step with the recorder's clock: {_apart(clock)}"
+    lines = tuple(f'stamp = "{other.stamp}"' for other, _ in others)
+    return Setting(f"{role}.stamp", clock.stamp, text, others=lines)
+
+
+def _recorder_stamps(
+    log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config
+) -> Iterator[Setting]:
+    """Stamp all roles by the recorder where their own clocks do not belong together."""
+    stamps = {(source.role, source.topic): source.stamp for finding in findings for source in finding.sources}
+    why = ""
+    if any(clock.stamp != stamps.get((clock.role, clock.topic), clock.stamp) for clock in clocks):
+        why = "not all stamps of the roles are times"
+    elif clocks and clocks[0].role == "imu":
+        try:
+            clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
+        except LogError:
+            why = "the clocks of the roles have nothing to do with each other"
+    own = {clock.role: clock for clock in clocks if clock.role in (*PROPOSED, *SENSORS)}
+    for role, clock in own.items() if why else ():
+        yield Setting(f"{role}.stamp", "log_time", f"{why}; that of {clock.topic}: {_apart(clock)}")
+
+
+# --- The IMU: topic and fields by their names, units and axes by gravity and the reference.
+
+_SAME: Final = 0.1
+"""Part by which a unit may differ from gravity."""
+_RATE_COHERENT: Final = 0.95
+_RATE_CLEARLY: Final = 0.02
+_TURNED: Final = 2.0 * DEG
+_FOLLOWS: Final = 0.8
+_AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
+_RATE_UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
+
+
+def _possible_rates(topic: ProbedTopic) -> list[Candidate]:
+    return topic.rates or [candidate for candidate in topic.vectors if candidate not in topic.forces]
+
+
+def _imu_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
+    """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it."""
+    candidates = [topic for topic in seen if topic.forces and _possible_rates(topic)]
+    return max(candidates, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
+
+
+def _imu_settings(log: Recording, topic: ProbedTopic) -> Iterator[Setting]:
+    force = topic.forces[0]
+    yield Setting("imu.topic", topic.topic)
+    yield _fields("imu.specific_force", topic.forces)
+    if force.force_unit:
+        yield Setting("imu.specific_force_unit", force.force_unit, "gravity has this size in it")
+    else:
+        text = f"{', '.join(SPECIFIC_FORCE_UNITS)}; gravity would be 9.81, 1 or 1000, and the size is {force.size:.3g}"
+        yield Setting("imu.specific_force_unit", "m/s2", open=text)
+    doubt = "" if topic.rates else "no field is named like it; this one or another"
+    yield _fields("imu.angular_rate", _possible_rates(topic), doubt)
+    yield _stamp(log, topic, "imu")
+
+
+def _measured_imu(
+    imu: ImuColumns, settings: Imu, reference: ReferenceColumns | None, found: GyroScale | None
+) -> Iterator[Setting]:
+    """Propose units and axes by what gravity and the reference show."""
+    # The unit of the force, if it is wrong.
+    read_in = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"]
+    size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / read_in
+    units = {unit: abs(size * factor / GRAVITY_MPS2 - 1.0) < _SAME for unit, factor in SPECIFIC_FORCE_UNITS.items()}
+    fitting = next((unit for unit, is_gravity in units.items() if is_gravity), "")
+    if fitting and not abs(size * read_in / GRAVITY_MPS2 - 1.0) < _SAME:
+        yield Setting("imu.specific_force_unit", fitting, f"the size is {size:.3g}, that of gravity in this unit")
+    if settings.axes is None and settings.specific_force_axes is None:
+        yield from _imu_axes(imu, reference)
+    # The unit of the rate.
+    key, by_unit = "imu.angular_rate_unit", {}
+    if settings.angular_rate_unit is not None:
+        return
+    if found is not None:
+        by_unit = {unit: abs(found.scale) * factor for unit, factor in ANGULAR_RATE_UNITS.items()}
+    unit = next((unit for unit, off in by_unit.items() if 1.0 / UNIT_WRONG < off < UNIT_WRONG), "")
+    sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
+    median, largest = float(np.median(sizes)), float(sizes.max())
+    if median > SPIN_RADPS:
+        yield Setting(key, "deg/s", f"{median:.3g} in the median, which no vehicle does in rad/s")
+    elif unit and found is not None:
+        yield Setting(key, unit, f"in it the rate fits {found.by}, which rules the other out")
+    else:
+        yield Setting(key, "rad/s", f"at most {largest:.3g} was seen, which tells no unit", _RATE_UNITS_OPEN)
+
+
+def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setting]:
+    """Propose axes in which a level vehicle feels gravity, and the rate follows the reference's attitude."""
+    force = np.median(imu.specific_force_b, axis=0)
+    if not force.any():
+        yield Setting("imu.axes", None, open="the accelerometers feel nothing, so that nothing tells where down is")
+        return
+    strongest = int(np.argmax(np.abs(force)))
+    felt = f"gravity is felt along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
+    # Accelerometers may show the opposite of a force: sign is -1 then.
+    upright, opposite = ([(axes, sign) for axes in _level_axes(sign * force)] for sign in (1.0, -1.0))
+    possible = [upright[0], opposite[0], *upright[1:], *opposite[1:]]
+    words = [(axes_word(axes), axes_word(sign * axes)) for axes, sign in possible]
+    fits = []
+    for rate, _ in words:
+        turned = replace(imu, angular_rate_b=in_frd(imu.angular_rate_b, rate, "imu.axes"))
+        fits.append(None if reference is None else gyro_by_attitude(turned, reference))
+    scores = np.array([0.0 if fit is None else fit.correlation for fit in fits])
+    best = int(np.argmax(scores > scores.max() - _RATE_CLEARLY))
+    others: Sequence[int] = ()
+    if scores.max() > _RATE_COHERENT:
+        rivals = np.flatnonzero(scores > scores.max() - _RATE_CLEARLY).tolist()
+        if len(rivals) > 1:
+            # Of those that fit alike, those whose rate follows the attitude about each axis about which it turns.
+            turning = [(row, fit) for row in rivals if (fit := fits[row]) is not None]
+            following = [row for row, fit in turning if (fit.by_axis[fit.excursion > _TURNED] > _FOLLOWS).all()]
+            rivals = following or rivals
+        best = rivals[0]
+        seen = f"{felt}, and the angular rate follows the reference's attitude, correlation {scores.max():.3f}"
+        others = rivals[1:] if words[best][0] != "frd" else ()
+    elif words[best][0] == "frd":
+        seen = f"{felt}, as forward-starboard-down has it"
+    else:
+        seen, others = f"{felt}; a level vehicle must feel it along -z", range(1, 3)
+    texts = []
+    for rate, force_axes in (words[row] for row in others):
+        beside = f' with specific_force_axes = "{force_axes}"' if force_axes != rate else ""
+        texts.append(f'axes = "{rate}"{beside}')
+    built_in = f"the way the IMU is built in; it could also be {', or '.join(texts)}" if texts else ""
+    rate, force_axes = words[best]
+    yield Setting("imu.axes", rate, seen, built_in)
+    if rate != force_axes:
+        yield Setting("imu.specific_force_axes", force_axes, "the accelerometers show the opposite of a force")
+
+
+def _level_axes(force: Floats) -> list[Floats]:
+    """List the right-handed axes in which gravity is felt upwards, as a level vehicle feels it, the likeliest first."""
+    strongest = int(np.argmax(np.abs(force)))
+    down = np.zeros(3)
+    down[strongest] = -np.sign(force[strongest])
+    forward = [axis for axis in (*np.eye(3), *-np.eye(3)) if not axis[strongest]]
+    return [np.stack([axis, np.cross(down, axis), down]) for axis in forward]
+
+
+def axes_word(rows: Floats) -> str:
+    """Write axes as a signed permutation: forward, starboard and down in those of the instrument, (3, 3)."""
+    parts = [(int(np.argmax(np.abs(row))), float(row.sum())) for row in rows]
+    text = "".join(f"{'+' if sign > 0.0 else '-'}{'xyz'[axis]}" for axis, sign in parts)
+    return _AXES_NAMES.get(text, text)
+
+
+# --- The DVL: topic and fields by their names, unit and axes by its size and the reference.
+
+_DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
+_FLAGS: Final = re.compile(r"valid|lock|good")
+_SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0
+"""Speeds over ground of a vehicle under way."""
+_CLOSE: Final = 1.5
+"""Factor within which a comparison with the reference decides on a unit."""
+_DVL_COHERENT: Final = 0.97
+_DVL_CLEARLY: Final = 0.01
+_DVL_AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
+
+
+def _dvl_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
+    """Choose the topic of a DVL: one with a velocity, best with a name that says so."""
+    named = [topic for topic in seen if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
+    moving = [topic for topic in seen if topic.likely("velocity") or topic.likely("beam_velocity")]
+    both = [topic for topic in named if topic in moving]
+    return next(iter([*both, *moving, *(topic for topic in named if topic.vectors)]), None)
+
+
+def _dvl_settings(log: Recording, topic: ProbedTopic) -> Iterator[Setting]:
+    beams, velocities, valid = (topic.likely(quantity) for quantity in ("beam_velocity", "velocity", "beam_valid"))
+    velocities = velocities if beams or velocities else topic.vectors
+    yield Setting("dvl.topic", topic.topic)
+    if velocities:
+        yield _fields("dvl.velocity", velocities)
+        yield Setting("dvl.kind", "velocity")
+    for velocity in [*velocities, *beams][:1]:
+        speeds = {unit: velocity.size * factor for unit, factor in VELOCITY_UNITS.items()}
+        fitting = [unit for unit, speed in speeds.items() if _SLOWEST_MPS < speed < _QUICKEST_MPS]
+        best = fitting[0] if fitting else "m/s"
+        what = "length of all beams' velocities" if velocity.is_beams else "speed"
+        seen = f"the median {what} is {speeds[best]:.3g} m/s then"
+        if len(fitting) == 1:
+            yield Setting("dvl.velocity_unit", best, f"{seen}, and in no other unit a vehicle's")
+        else:
+            yield Setting("dvl.velocity_unit", best, seen, f"the size leaves it open: {', '.join(VELOCITY_UNITS)}")
+    if velocities:
+        # What a good ping is named by can only be guessed.
+        flagged = {path: median for path, median in topic.scalars.items() if _FLAGS.search(path.lower())}
+        flags = " or ".join(f'"{path}" (median {median:g})' for path, median in flagged.items())
+        if flags:
+            yield Setting("dvl.valid", None, open=f"whether {flags} is 0 where a ping is invalid")
+    if beams and velocities:
+        # Until a person knows where the beams point, the velocity is the safer source.
+        lines = ['kind = "beams"', *(f'beam_velocity = "{beam.path}"  # {beam}' for beam in beams)]
+        lines += [f'beam_valid = "{flag.path}"' for flag in valid]
+        text = "beams, once their angles are known, give more: kind, beam_velocity, beam_valid, beam_tilt_deg"
+        yield Setting("dvl.kind", "velocity", text, others=tuple(lines))
+    elif beams:
+        count = beams[0].median.size
+        azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
+        yield _fields("dvl.beam_velocity", beams)
+        yield from (Setting("dvl.beam_valid", flag.path) for flag in valid[:1])
+        yield Setting("dvl.beam_tilt_deg", 30.0, open="from the instrument's z axis, as the maker says")
+        yield Setting("dvl.beam_azimuth_deg", azimuths, open="from forward towards starboard, one angle for each beam")
+    yield _stamp(log, topic, "dvl")
+    yield Setting("dvl.lever_arm_m", (0.0, 0.0, 0.0), open="IMU to DVL, forward, starboard, down, as built")
+    yield Setting("dvl.mounting_rpy_deg", (0.0, 0.0, 0.0), open="DVL to body, roll, pitch, heading, as built")
+
+
+def _measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> Iterator[Setting]:
+    """Propose axes and unit by what the reference's velocity shows."""
+    if dvl.velocity_d is None or config.dvl.axes is not None:
+        return
+    as_flu = replace(dvl, velocity_d=dvl.velocity_d @ MAT_FRD_FLU)
+    fits = {
+        axes: fit
+        for axes, columns in (("frd", dvl), ("flu", as_flu))
+        if reference is not None and (fit := dvl_by_velocity(columns, reference, config)) is not None
+    }
+    best = max(fits, key=lambda axes: fits[axes].coherence, default="frd")
+    if not fits or fits[best].coherence < _DVL_COHERENT:
+        text = "there is no velocity to compare with that would tell the axes"
+        yield Setting("dvl.axes", "frd", text, _DVL_AXES_OPEN)
+        return
+    coherence, other = fits[best].coherence, min(fit.coherence for fit in fits.values())
+    if coherence - other < _DVL_CLEARLY:
+        seen = f"with frd and with flu it follows the reference's velocity, coherence {other:.3f}"
+        yield Setting("dvl.axes", best, seen, _DVL_AXES_OPEN)
+    else:
+        seen = f"so it follows the reference's velocity, coherence {coherence:.3f} against {other:.3f}"
+        yield Setting("dvl.axes", best, seen)
+    for unit, factor in VELOCITY_UNITS.items():
+        scale = fits[best].scale * factor / VELOCITY_UNITS[config.dvl.velocity_unit or "m/s"]
+        if 1.0 / _CLOSE < scale < _CLOSE:
+            yield Setting("dvl.velocity_unit", unit, f"its speed is then {scale:.3f} times the reference's")
+
+
+# --- The reference: topic and fields by their names, and in which frame its velocity is.
+
+_REFERENCE_WORDS: Final = {
+    "latitude": re.compile(r"(^|[._])lat(itude)?([._]|$)"),
+    "longitude": re.compile(r"(^|[._])(lon|lng|long|longitude)([._]|$)"),
+    "depth": re.compile(r"(^|[._])depth([._]|$)"),
+    "roll": re.compile(r"(^|[._])roll([._]|$)"),
+    "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
+    "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
+}
+"""An altitude is no height here: most vehicles mean that above the bottom."""
+_PLACE: Final = ("latitude", "longitude")
+_ATTITUDE: Final = ("roll", "pitch", "heading")
+_NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
+_EAST_AND_DOWN: Final = {"n": ("e", "d"), "north": ("east", "down")}
+_FULL_CIRCLE: Final = 6.3
+"""No angle in radians is larger."""
+_FITS: Final = 0.1
+"""Part of the way by which a velocity may miss the positions beside it."""
+_FITS_CLEARLY: Final = 0.3
+_MEANT: Final = (
+    "whether it is a solution to start from and to compare with; meant are roll starboard side down, pitch bow up and "
+    "heading from north over east"
+)
+
+
+def _reference_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
+    """Choose the topic with the most of a position, a velocity and an attitude."""
+    most = max(seen, key=lambda topic: len(_reference_fields(topic)), default=None)
+    return most if most and _reference_fields(most) else None
+
+
+def _reference_settings(log: Recording, topic: ProbedTopic) -> Iterator[Setting]:
+    fields = _reference_fields(topic)
+    yield Setting("reference.topic", topic.topic, open=_MEANT)
+    yield from (Setting(f"reference.{quantity}", path) for quantity, path in fields.items())
+    angles = (*_PLACE, *_ATTITUDE)
+    largest = max(abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in angles)
+    key = "reference.angle_unit"
+    if largest > _FULL_CIRCLE:
+        yield Setting(key, "deg", f"an angle of {largest:.3g} is none in radians")
+    else:
+        yield Setting(key, "deg", open=f"no angle is larger than {largest:.3g}: deg or rad")
+    yield _stamp(log, topic, "reference")
+
+
+def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
+    """Find the fields of a solution; angles only where none is missing."""
+    found: dict[str, str] = {}
+    for quantity, words in _REFERENCE_WORDS.items():
+        if paths := [path for path in topic.scalars if words.search(path.lower())]:
+            found[quantity] = paths[0]
+    for together in (_PLACE, _ATTITUDE):
+        if not found.keys() >= set(together):
+            found = {quantity: path for quantity, path in found.items() if quantity not in together}
+    if not found.keys() & {*_PLACE, *_ATTITUDE}:
+        return {}
+    # Fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``.
+    for path in topic.scalars:
+        match = _NORTH.fullmatch(path)
+        names = [path, *(f"{match[1]}{other}" for other in _EAST_AND_DOWN.get(match[2], ()))] if match else []
+        if len(names) == 3 and topic.scalars.keys() >= set(names):
+            return found | {"velocity_n": ", ".join(names)}
+    return found
+
+
+def _measured_reference(log: Recording, source: Source, config: Config) -> Iterator[Setting]:
+    """Propose to take a velocity for one in the axes of the world, if only so it fits the positions beside it.
+
+    That of `nav_msgs/Odometry` is to be in the body, and Gazebo writes it otherwise.
+    """
+    if config.reference.velocity_n is not None or not {"velocity_b", "local_position"} <= source.fields.keys():
+        return
+    path = source.fields["velocity_b"]
+    # Where on Earth it is does not matter to the way between positions.
+    place = msgspec.structs.replace(config.initial, latitude_deg=config.initial.latitude_deg or 0.0)
+    table = read_tables(log, [source])[0]
+    misfits = []
+    for fields in ({}, {"velocity_n": path}):
+        settings = msgspec.structs.replace(config.reference, velocity_n=fields.get("velocity_n"))
+        read = replace(table, source=replace(source, fields={**source.fields, **fields}))
+        columns, _ = decode_reference([read], settings, place)
+        misfits.append(None if columns is None else velocity_misfit(columns))
+    in_body, in_world = misfits
+    if in_body is not None and in_world is not None and in_world <= min(_FITS, _FITS_CLEARLY * in_body):
+        text = (
+            f"so it differs by {in_world:.1%} from the way between the positions; in the axes of the body, as its "
+            f"type has it, by {in_body:.0%}"
+        )
+        yield Setting("reference.velocity_n", path, text)
+
+
+# --- The whole.
+
+_ROLES: Final = (
+    ("imu", _imu_topic, _imu_settings, ("specific_force", "angular_rate")),
+    ("dvl", _dvl_topic, _dvl_settings, ("velocity",)),
+    ("reference", _reference_topic, _reference_settings, ()),
+)
+"""How the topic of each role is chosen, what is then proposed for it, and what a person must name where none is found;
+the topic that one has is no other's."""
+_REFERENCE: Final = 2
+"""Its place among the findings."""
 _LONGEST: Final = 12
 """Topics that are listed at most."""
-
-
-def listed_settings(role: str, seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
-    """List every field with numbers, that a person may choose."""
-    if not seen or role not in _NEEDED:
-        return
-    often = sorted(seen, key=lambda topic: -topic.channel.messages)
-    lines = [line for topic in often[:_LONGEST] for line in _lines(topic)]
-    if (more := len(often) - _LONGEST) > 0:
-        lines.append(f"and {more} topics with fewer messages")
-    text = "no topic has fields that are named like those of this role; the topics with numbers, and their fields, are"
-    yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
-    for quantity in _NEEDED[role]:
-        text = 'one of three numbers, or three side by side as in "p, q, r"'
-        yield Setting(f"{role}.{quantity}", None, open=text, others=_INSTEAD.get(quantity, ()))
-
-
-def _lines(topic: ProbedTopic) -> Iterator[str]:
-    yield f'"{topic.topic}", {topic.channel.messages} messages'
-    for candidate in topic.candidates:
-        yield f'  "{candidate.path}"'
-        yield f"    {candidate}"
-    for path, median in topic.scalars.items():
-        yield f'  "{path}", median {median:.3g}'
-
-
 _DEFAULTS: Final = ("frd", "rad/s")
 """What a known type is taken to give; only something else is worth a setting."""
 
 
-_REFERENCE: Final = 2
-"""Its place among the findings."""
-_ROLES: Final = (
-    ("imu", imu_topic, imu_settings),
-    ("dvl", dvl_topic, dvl_settings),
-    ("reference", reference_topic, reference_settings),
-)
-"""How the topic of each role is chosen, and what is then proposed for it; what one has is no other's."""
-
-
 @dataclass(frozen=True)
 class Proposal:
-    """Settings that nobody has made yet, and as TOML; the keys to decide in it, and what stops a replay with it too."""
+    """Settings that nobody has made yet, and as TOML."""
 
     settings: tuple[Setting, ...] = ()
     configuration: str = ""
-    decisions: tuple[str, ...] = ()
-    obstacles: tuple[Obstacle, ...] = ()
+    decisions: tuple[str, ...] = ()  # keys about which a person must decide
+    obstacles: tuple[Obstacle, ...] = ()  # what stops a replay with it too
     notes: tuple[Note, ...] = ()
+
+
+def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Proposal:
+    """Propose what a replay lacks, by all messages of the roles.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read, or is damaged and must not be.
+    """
+    log = open_recording(path, allow_damaged=allow_damaged)
+    with log.watched():
+        findings = find_roles(str(log.path), log.channels, config)
+        seen = DryRun(log, config, deep=True)
+        seen.examine(findings)
+        return propose(log, findings, seen, config)
 
 
 def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config) -> Proposal:
@@ -94,9 +551,9 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
     if not seen.obstacles and not list(_start(findings, config.initial)):
         contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
         sources = findings[_REFERENCE].sources if contradicted else ()
-        settled = [setting for source in sources for setting in measured_reference(log, source, config)]
+        settled = [setting for source in sources for setting in _measured_reference(log, source, config)]
         return Proposal(tuple(settled), settings_toml(settled))
-    fields, notes = _fields(log, findings, config)
+    fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
     draft = with_settings(config, settings)
@@ -104,7 +561,13 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
     settings += _start(found, draft.initial)
     last = DryRun(log, with_settings(config, settings), deep=False)
     last.examine(found)
-    return Proposal(tuple(settings), settings_toml(settings), undecided_keys(settings), tuple(last.obstacles), notes)
+    notes = []
+    if unseen:
+        text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
+        hint = "name the topic of each role in the configuration"
+        notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
+    decisions, obstacles = undecided_keys(settings), tuple(last.obstacles)
+    return Proposal(tuple(settings), settings_toml(settings), decisions, obstacles, tuple(notes))
 
 
 def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
@@ -114,22 +577,19 @@ def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
     """
     for finding in findings:
         if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
-            first, *others = sorted((source.topic for source in finding.candidates), key=_doubts(seen))
+            topics = [source.topic for source in finding.candidates]
+            # Those that cannot be it last, before them those with warnings.
+            first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.doubted))
             key = f"{finding.role}.topic"
             if first not in seen.refused and all(topic in seen.refused for topic in others):
                 yield Setting(key, first, "; ".join(f"{topic} cannot be it: {seen.refused[topic]}" for topic in others))
-                continue
-            lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
-            yield Setting(key, first, open="each of these could be it", others=lines)
+            else:
+                lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
+                yield Setting(key, first, open="each of these could be it", others=lines)
 
 
-def _doubts(seen: DryRun) -> Callable[[str], tuple[bool, bool]]:
-    """Order topics: those that cannot be last, before them those with warnings."""
-    return lambda topic: (topic in seen.refused, topic in seen.doubted)
-
-
-def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], tuple[Note, ...]]:
-    """Find topics of unknown types for the roles that no topic of a known type plays; note what was not looked at."""
+def _unknown_topics(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], Sequence[str]]:
+    """Find topics of unknown types for the roles that no topic of a known type plays; name those not looked at."""
     wanted = {finding.role for finding in findings if not finding.sources and not finding.candidates}
     if config.initial.source != "reference":
         wanted -= {"reference"}
@@ -138,26 +598,37 @@ def _fields(log: Recording, findings: Sequence[Finding], config: Config) -> tupl
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
     seen, unseen = probe_topics(log, [channel for channel in log.channels if channel.topic not in taken])
     settings: list[Setting] = []
-    for role, choose, settings_of in _ROLES:
-        if role not in wanted:
-            continue
-        free = [topic for topic in seen if role != "imu" or topic.topic != config.dvl.topic]
-        candidates = _named(free, getattr(config, role).topic)
-        topic = choose(candidates)
-        settings += settings_of(log, topic) if topic else listed_settings(role, candidates)
-        seen = [other for other in seen if other is not topic]
-    return settings, tuple(_unseen_notes(unseen))
+    for role, choose, settings_of, needed in _ROLES:
+        if role in wanted:
+            named = getattr(config, role).topic
+            free = [topic for topic in seen if role != "imu" or topic.topic != config.dvl.topic]
+            # The topic alone that the configuration names, if the log has it.
+            candidates = [topic for topic in free if topic.topic == named] or free
+            chosen = choose(candidates)
+            settings += settings_of(log, chosen) if chosen else _listed(role, needed, candidates)
+            seen = [topic for topic in seen if topic is not chosen]
+    return settings, unseen
 
 
-def _unseen_notes(unseen: Sequence[str]) -> Iterator[Note]:
-    if unseen:
-        text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
-        yield Note("topics_not_looked_at", text, len(unseen), hint="name the topic of each role in the configuration")
-
-
-def _named(seen: Sequence[ProbedTopic], topic: str | None) -> Sequence[ProbedTopic]:
-    """Look at the topic alone that the configuration names, if the log has it."""
-    return [found for found in seen if found.topic == topic] or seen
+def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> Iterator[Setting]:
+    """List every field with numbers, that a person may choose."""
+    if not seen or not needed:
+        return
+    often = sorted(seen, key=lambda topic: -topic.channel.messages)
+    lines = []
+    for topic in often[:_LONGEST]:
+        lines.append(f'"{topic.topic}", {topic.channel.messages} messages')
+        for candidate in topic.candidates:
+            lines += [f'  "{candidate.path}"', f"    {candidate}"]
+        lines += [f'  "{path}", median {median:.3g}' for path, median in topic.scalars.items()]
+    if (more := len(often) - _LONGEST) > 0:
+        lines.append(f"and {more} topics with fewer messages")
+    text = "no topic has fields that are named like those of this role; the topics with numbers, and their fields, are"
+    yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
+    for quantity in needed:
+        text = 'one of three numbers, or three side by side as in "p, q, r"'
+        others = ("beam_velocity =  # one number for each beam",) if quantity == "velocity" else ()
+        yield Setting(f"{role}.{quantity}", None, open=text, others=others)
 
 
 def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
@@ -165,47 +636,33 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
+    imu, dvl, reference = seen.columns.imu, seen.columns.dvl, seen.columns.reference
     named = {setting.key for setting in settings}
-    measured = _stamps(log, findings, seen.clocks, config)
-    if seen.columns.imu is not None:
+    measured = not_yet_set(_recorder_stamps(log, findings, seen.clocks, config), config)
+    if imu is not None:
         (source,) = findings[0].sources
-        found = list(_measured_imu(seen, seen.columns.imu, source))
-        measured += found if "imu.angular_rate" in named else _worth_proposing(found, source.topic)
+        of_imu = source.completed(config.imu)
+        found = list(_measured_imu(imu, of_imu, reference, gyro_scale(imu, dvl, reference, config)))
+        # The scale of the gyros, once the rate is in the axes and the unit that are proposed.
+        values = {setting.key: setting.value for setting in found if setting.value is not None}
+        read_in = of_imu.angular_rate_unit or "rad/s"
+        unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
+        rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)
+        scale = gyro_scale(replace(imu, angular_rate_b=rate_b), dvl, reference, config) if deep else None
+        if scale is not None and scale.tolerance <= 1.0 + TRACK_DOUBT and scale.tolerance < scale.off < UNIT_WRONG:
+            text = f"the angular rate is {scale.scale:.3g} times what {scale.by} shows"
+            number = round(scale.scale * of_imu.angular_rate_scale, 3)
+            found.append(Setting("imu.angular_rate_scale", number, text))
+        if "imu.angular_rate" not in named:
+            # Of a known type only what is unlike it, and of which topic it holds.
+            unlike = [setting for setting in found if setting.value not in _DEFAULTS]
+            found = [replace(setting, seen=f"{source.topic}: {setting.seen}") for setting in unlike]
+        measured += found
     for source in findings[_REFERENCE].sources if deep else ():  # it takes all messages to tell
-        measured += measured_reference(log, source, config)
-    if "dvl.velocity" in named and len(seen.columns.dvl.time_ns):
-        measured += measured_dvl(seen.columns.dvl, seen.columns.reference, config)
+        measured += _measured_reference(log, source, config)
+    if "dvl.velocity" in named and len(dvl.time_ns):
+        measured += _measured_dvl(dvl, reference, config)
     return measured
-
-
-def _measured_imu(seen: DryRun, imu: ImuColumns, source: Source) -> Iterator[Setting]:
-    scale = gyro_scale(imu, seen.columns.dvl, seen.columns.reference, seen.config)
-    settings = source.completed(seen.config.imu)
-    measured = measured_imu(imu, settings, seen.columns.reference, scale)
-    yield from measured
-    if seen.deep:
-        turned = corrected_rates(imu, settings, measured)
-        yield from measured_scale(settings, gyro_scale(turned, seen.columns.dvl, seen.columns.reference, seen.config))
-
-
-def _worth_proposing(measured: Sequence[Setting], topic: str) -> list[Setting]:
-    """Of an IMU of a known type, propose only what is unlike its type, and of which topic it holds."""
-    return [replace(found, seen=f"{topic}: {found.seen}") for found in measured if found.value not in _DEFAULTS]
-
-
-def _stamps(log: Recording, findings: Sequence[Finding], clocks: Sequence[Clock], config: Config) -> list[Setting]:
-    """Stamp all roles by the recorder where their own clocks do not belong together."""
-    stamps = {(source.role, source.topic): source.stamp for finding in findings for source in finding.sources}
-    if any(clock.stamp != stamps.get((clock.role, clock.topic), clock.stamp) for clock in clocks):
-        return not_yet_set(recorder_stamps(clocks, "not all stamps of the roles are times"), config)
-    if not clocks or clocks[0].role != "imu":
-        return []
-    try:
-        clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
-    except LogError:
-        together = "the clocks of the roles have nothing to do with each other"
-        return not_yet_set(recorder_stamps(clocks, together), config)
-    return []
 
 
 def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:

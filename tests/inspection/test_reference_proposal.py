@@ -8,8 +8,7 @@ import pytest
 from rosbag_messages import Message, header, write_log, xyz
 
 from insdvl_replay.core.config import Config, Imu, Initial
-from insdvl_replay.inspection.proposed_settings import Setting
-from insdvl_replay.inspection.survey import propose_settings
+from insdvl_replay.inspection.proposal import Setting, propose_settings
 
 TIMES = np.arange(0.0, 60.0, 0.05)
 RATE_RADPS, SPEED_MPS = 0.1, 1.5

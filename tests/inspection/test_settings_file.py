@@ -20,8 +20,7 @@ from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.inspection.settings_file import SettingsFile, settings_file
-from insdvl_replay.inspection.trial_runs import imu_class
+from insdvl_replay.inspection.trial_runs import SettingsFile, imu_class, settings_file
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import replay_log
 from insdvl_replay.sim.dive import simulate_dive
@@ -296,7 +295,7 @@ def test_file_that_could_not_be_read_back_is_not_put_in_place(
     log, file = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
     write_dive(log, turning)
     broken = SettingsFile("[dvl]\nscale = -1.0\n", (), (), ())
-    monkeypatch.setattr("insdvl_replay.inspection.settings_file.settings_file", lambda *_, **__: broken)
+    monkeypatch.setattr("insdvl_replay.inspection.trial_runs.settings_file", lambda *_, **__: broken)
     with pytest.raises(ConfigError):
         load_config(overrides=["dvl.scale=-1.0"])
     assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 2
