@@ -23,7 +23,7 @@ from results import machine, table, write_part
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.nav.earth_model import Place, place_at
+from insdvl_replay.nav.earth_model import LocalEarth, local_earth_at
 from insdvl_replay.nav.error_model import propagate_cov
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
@@ -107,7 +107,7 @@ def machine_code(function: Any, *arguments: Any) -> str:
 def references_counted() -> int:
     """Count the places where mechanisation and covariance count a reference."""
 
-    def go(timeline: Timeline, state: NavState, P: Floats, noise_density: Floats, place: Place) -> NavState:
+    def go(timeline: Timeline, state: NavState, P: Floats, noise_density: Floats, place: LocalEarth) -> NavState:
         before = first_node(timeline)
         while not is_last(timeline, before):
             now = next_node(timeline, before)
@@ -118,7 +118,7 @@ def references_counted() -> int:
         return state
 
     inputs, state = inputs_at(SLOW_HZ), NavState(STILL, STILL, LEVEL, STILL, STILL)
-    code = machine_code(go, inputs.timeline, state, np.eye(12).ravel(), inputs.noise_density, place_at(0.0, 0.0))
+    code = machine_code(go, inputs.timeline, state, np.eye(12).ravel(), inputs.noise_density, local_earth_at(0.0, 0.0))
     return code.count("call void @NRT_incref")
 
 

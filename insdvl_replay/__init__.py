@@ -37,9 +37,9 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from insdvl_replay.api import OwnMeasurement, OwnReadings, Result, load_config, read_result, replay_log
+    from insdvl_replay.api import Result, UserMeasurement, UserReadings, load_config, read_result, replay_log
 
-__all__ = ["OwnMeasurement", "OwnReadings", "Result", "__version__", "load_config", "read_result", "replay_log"]
+__all__ = ["Result", "UserMeasurement", "UserReadings", "__version__", "load_config", "read_result", "replay_log"]
 
 
 def __getattr__(name: str) -> Any:

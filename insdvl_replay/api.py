@@ -14,7 +14,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
-from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
+from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.json_report import Report, build_report, this_tool
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from insdvl_replay.replay import Replay
 
-__all__ = ["OwnMeasurement", "OwnReadings", "Result", "load_config", "read_result", "replay_log"]
+__all__ = ["Result", "UserMeasurement", "UserReadings", "load_config", "read_result", "replay_log"]
 
 Text = str | Path
 

@@ -1,7 +1,6 @@
 """Vectors and matrices of three as tuples.
 
-The filter works on them once for each IMU sample. The compiler keeps tuples in registers, where arrays of three would
-go through memory.
+The filter works on them at each IMU sample. The compiler keeps tuples in registers; arrays go through memory.
 """
 
 import math
@@ -10,18 +9,17 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import inlined
 
 Vector = tuple[float, float, float]
-Matrix = tuple[Vector, Vector, Vector]
-"""Three rows."""
+Matrix = tuple[Vector, Vector, Vector]  # three rows
 
 
 def vector(array: Floats) -> Vector:
-    """Read an array of shape (3,); not to be called by what is compiled."""
+    """Read an array of shape (3,); not for compiled code."""
     x, y, z = array.tolist()
     return x, y, z
 
 
 def matrix(array: Floats) -> Matrix:
-    """Read an array of shape (3, 3); not to be called by what is compiled."""
+    """Read an array of shape (3, 3); not for compiled code."""
     return vector(array[0]), vector(array[1]), vector(array[2])
 
 
@@ -29,12 +27,6 @@ def matrix(array: Floats) -> Matrix:
 def row_vector(array: Floats, row: int) -> Vector:
     """Read a row of an array of shape (k, 3)."""
     return array[row, 0], array[row, 1], array[row, 2]
-
-
-@inlined
-def column_vector(array: Floats, column: int) -> Vector:
-    """Read a column of an array of shape (3, k)."""
-    return array[0, column], array[1, column], array[2, column]
 
 
 @inlined
@@ -49,19 +41,19 @@ def row_matrix(array: Floats, row: int) -> Matrix:
 
 @inlined
 def write_row_vector(a: Vector, array: Floats, row: int) -> None:
-    """Write into a row of an array of shape (k, 3)."""
+    """Write a row of an array of shape (k, 3)."""
     array[row, 0], array[row, 1], array[row, 2] = a
 
 
 @inlined
 def write_column_vector(a: Vector, array: Floats, column: int) -> None:
-    """Write into a column of an array of shape (3, k)."""
+    """Write a column of an array of shape (3, k)."""
     array[0, column], array[1, column], array[2, column] = a
 
 
 @inlined
 def write_row_matrix(mat: Matrix, array: Floats, row: int) -> None:
-    """Write into a row of an array of shape (k, 3, 3)."""
+    """Write a row of an array of shape (k, 3, 3)."""
     array[row, 0, 0], array[row, 0, 1], array[row, 0, 2] = mat[0]
     array[row, 1, 0], array[row, 1, 1], array[row, 1, 2] = mat[1]
     array[row, 2, 0], array[row, 2, 1], array[row, 2, 2] = mat[2]
@@ -69,7 +61,7 @@ def write_row_matrix(mat: Matrix, array: Floats, row: int) -> None:
 
 @inlined
 def write_blocks(blocks: tuple[Matrix, ...], array: Floats) -> None:
-    """Write matrices of three side by side into an array of shape (3, 3 k)."""
+    """Write matrices side by side into an array of shape (3, 3 k)."""
     for block, mat in enumerate(blocks):
         for i, row in enumerate(mat):
             array[i, 3 * block], array[i, 3 * block + 1], array[i, 3 * block + 2] = row
@@ -107,13 +99,13 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @inlined
 def skew(a: Vector) -> Matrix:
-    """Return ``[a x]``, the matrix with which ``[a x] b`` is the cross product."""
+    """Return ``[a x]``, the matrix of the cross product."""
     return (0.0, -a[2], a[1]), (a[2], 0.0, -a[0]), (-a[1], a[0], 0.0)
 
 
 @inlined
 def transpose(mat: Matrix) -> Matrix:
-    """Return the rows as columns; of a rotation, its inverse."""
+    """Return the transposed matrix, which for a rotation is its inverse."""
     return (mat[0][0], mat[1][0], mat[2][0]), (mat[0][1], mat[1][1], mat[2][1]), (mat[0][2], mat[1][2], mat[2][2])
 
 
@@ -137,12 +129,6 @@ def compose(mat_ab: Matrix, mat_bc: Matrix) -> Matrix:
 
 
 @inlined
-def add_matrices(one: Matrix, other: Matrix) -> Matrix:
-    """Return the sum."""
-    return add(one[0], other[0]), add(one[1], other[1]), add(one[2], other[2])
-
-
-@inlined
 def scale_matrix(factor: float, mat: Matrix) -> Matrix:
     """Return ``factor mat``."""
     return scale(factor, mat[0]), scale(factor, mat[1]), scale(factor, mat[2])
@@ -150,14 +136,9 @@ def scale_matrix(factor: float, mat: Matrix) -> Matrix:
 
 @inlined
 def rotation_from_vector(rotation: Vector) -> Matrix:
-    """Return the rotation matrix exp([rotation x]) by Rodrigues' formula.
+    """Return the rotation matrix exp([rotation x]) of a rotation vector in rad, by Rodrigues' formula.
 
-    Below 0.01 rad the sine and cosine are replaced by their series, which there are exact to the last bit but one.
-
-    Parameters
-    ----------
-    rotation : tuple of 3 float
-        rad
+    Below 0.01 rad, series replace sine and cosine. They are exact there to the last bit but one.
     """
     x, y, z = rotation
     square = x * x + y * y + z * z
@@ -177,5 +158,5 @@ def rotation_from_vector(rotation: Vector) -> Matrix:
 
 @inlined
 def nearest_turn(angle: float) -> float:
-    """Return an angle without its whole turns, in [-pi, pi)."""
+    """Return an angle in [-pi, pi)."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi

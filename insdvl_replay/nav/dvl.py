@@ -1,15 +1,11 @@
-"""From the DVL's beams to velocities, and from past velocities to accelerations.
+"""The DVL: velocities of its beams, accelerations of past velocities, and the measurements that these make.
 
-What a DVL aids by at its pings: the velocity, single beams, and the acceleration that past velocities make.
-
-How the four beams of a ping agree: their noise, measured without a filter.
-
-Of four readings of a velocity of three components one combination holds nothing of it. Of a Janus it is half of
-``y1 - y2 + y3 - y4``, the error velocity of the instrument's maker; its noise is that of one beam.
+The four beams of a ping also have redundancy, from which their noise follows without a filter. One combination of four
+readings does not depend on the velocity. For a Janus it is half of ``y1 - y2 + y3 - y4``, the manufacturers' error
+velocity; its noise is that of one beam.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -25,37 +21,18 @@ from insdvl_replay.nav.timeline import BEAMS, PINGS
 
 @dataclass(frozen=True)
 class DvlVelocities:
-    """Velocities over ground, one for each usable ping, in body axes and still at the DVL's place.
+    """Velocities over ground, one for each usable ping, in body axes, at the DVL."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (m,)
-        Times of validity.
-    velocity_b : ndarray, shape (m, 3)
-        ``C_d^b v_d``, m/s.
-    unit_cov_b : ndarray, shape (m, 3, 3)
-        Covariance for noise of unit variance of each beam. Of a DVL that reports velocities nobody knows which beams
-        were lost: all pings are as with all beams.
-    full_unit_cov_b : ndarray, shape (3, 3)
-        The same for a ping with all beams.
-    beams_used : ndarray of int, shape (m,)
-        3 or 4 for beams; 0 where the DVL reports velocities.
-    residual_mps : ndarray, shape (m,)
-        Root mean square of the beams' residuals over their degrees of freedom; NaN without redundancy.
-    pings_without_velocity : int
-        Pings left out for having fewer than three beams, beams in a plane, or an invalid velocity.
-    pings_with_bad_residual : int
-        Pings left out because their beams disagree.
-    """
-
-    time_ns: TimeNs
-    velocity_b: Floats
+    time_ns: TimeNs  # (m,), times of validity
+    velocity_b: Floats  # (m, 3), ``C_d^b v_d``, m/s
+    # (m, 3, 3), covariance for noise of unit variance of each beam. A DVL that reports velocities does not report which
+    # beams were lost: all its pings count as complete.
     unit_cov_b: Floats
-    full_unit_cov_b: Floats
-    beams_used: NDArray[np.int64]
-    residual_mps: Floats
-    pings_without_velocity: int
-    pings_with_bad_residual: int
+    full_unit_cov_b: Floats  # (3, 3), the same for a ping with all beams
+    beams_used: NDArray[np.int64]  # (m,), 3 or 4 for beams; 0 where the DVL reports velocities
+    residual_mps: Floats  # (m,), rms of the beams' residuals over their degrees of freedom; NaN without redundancy
+    pings_without_velocity: int  # left out: fewer than three beams, beams in a plane, or an invalid velocity
+    pings_with_bad_residual: int  # left out: their beams disagree
 
     def within(self, start_ns: int, end_ns: int) -> "DvlVelocities":
         """Keep the pings after the start and up to the end."""
@@ -75,21 +52,11 @@ class DvlVelocities:
 
 @dataclass(frozen=True)
 class DvlBeams:
-    """Velocities along the beams, in the directions that they have in body axes.
+    """Velocities along the beams, in their directions in body axes."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of validity of the pings that have a beam at all.
-    beam_velocity_mps : ndarray, shape (k, beams)
-        With the scale divided out; NaN where a beam is lost.
-    directions_b : ndarray, shape (beams, 3)
-        Unit vectors.
-    """
-
-    time_ns: TimeNs
-    beam_velocity_mps: Floats
-    directions_b: Floats
+    time_ns: TimeNs  # (k,), times of validity of the pings with any beam
+    beam_velocity_mps: Floats  # (k, beams), without the scale error; NaN where a beam is lost
+    directions_b: Floats  # (beams, 3), unit vectors
 
     def within(self, start_ns: int, end_ns: int) -> "DvlBeams":
         """Keep the pings after the start and up to the end."""
@@ -98,7 +65,7 @@ class DvlBeams:
 
 
 def dvl_beams(dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int) -> DvlBeams | None:
-    """Return the beams of a DVL one by one, after the start and up to the end; None of one that reports velocities."""
+    """Return the beams of a DVL after the start and up to the end; None where it reports velocities."""
     if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
         return None
     inside = (dvl.time_ns > start_ns) & (dvl.time_ns <= end_ns)
@@ -154,31 +121,10 @@ def dvl_velocities(
     )
 
 
-def taylor_fit(time_s: Floats, velocity: Floats, order: int, at_s: float) -> Floats:
-    """Fit a Taylor polynomial to past velocities: velocity, acceleration, jerk, ... at a chosen time.
+def derivative_weights(offset_s: Floats, order: int) -> Floats:
+    """Return the weights that make derivatives of values, ``(L' L)^-1 L'`` with ``L_jk = offset_j^k / k!``.
 
     Equations (10) to (17) of Levy and Klein.
-
-    Parameters
-    ----------
-    time_s : ndarray, shape (n,)
-    velocity : ndarray, shape (n, 3)
-        m/s
-    order : int
-        Of the polynomial, below n; 1 is a straight line.
-    at_s : float
-        Time of the expansion, inside the window or, through an outage, after it.
-
-    Returns
-    -------
-    ndarray, shape (order + 1, 3)
-        Row k is the k-th derivative of the velocity, m/s^(k+1).
-    """
-    return derivative_weights(time_s - at_s, order) @ velocity
-
-
-def derivative_weights(offset_s: Floats, order: int) -> Floats:
-    """Return the weights that make derivatives out of values, ``(L' L)^-1 L'`` with ``L_jk = offset_j^k / k!``.
 
     Parameters
     ----------
@@ -204,27 +150,13 @@ def derivative_weights(offset_s: Floats, order: int) -> Floats:
 
 @dataclass(frozen=True)
 class SlopeWindows:
-    """Windows of consecutive velocities, one ending at each ping, with the weights that make a slope of them.
+    """Windows of consecutive velocities, one ending at each ping, with the weights of their slope."""
 
-    Attributes
-    ----------
-    complete : ndarray of bool, shape (m,)
-        False while the window still fills, and after a gap.
-    velocity_weights : ndarray, shape (m, n)
-        c: slope = sum_j c_j v_j. The sum over j is 0.
-    interval_weights : ndarray, shape (m, n - 1)
-        W: slope = sum_j W_j (v_j - v_(j-1)), j from 1; W_j = sum of c_i for i >= j.
-    interval_s : ndarray, shape (m, n - 1)
-        Lengths of the intervals.
-    middle_s : ndarray, shape (m,)
-        Mean time of the window, where the slope is valid.
-    """
-
-    complete: NDArray[np.bool_]
-    velocity_weights: Floats
-    interval_weights: Floats
-    interval_s: Floats
-    middle_s: Floats
+    complete: NDArray[np.bool_]  # (m,), False while the window fills, and after a gap
+    velocity_weights: Floats  # (m, n), c: slope = sum_j c_j v_j; their sum is 0
+    interval_weights: Floats  # (m, n - 1), W: slope = sum_j W_j (v_j - v_(j-1)), j from 1; W_j = sum of c_i for i >= j
+    interval_s: Floats  # (m, n - 1), lengths of the intervals
+    middle_s: Floats  # (m,), mean time of the window, where the slope is valid
 
 
 def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf) -> SlopeWindows:
@@ -281,7 +213,7 @@ def windowed_sum(weights: Floats, values: Floats) -> Floats:
     return total
 
 
-def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool = False) -> Floats:
+def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, for_one_beam: bool = False) -> Floats:
     """Return the covariance of each DVL velocity.
 
     Noise of one beam goes through the least squares: with four beams, tilted by ``a`` from z, the variances in d are
@@ -290,16 +222,14 @@ def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool 
 
     Parameters
     ----------
-    velocities : DvlVelocities
-        m pings.
-    of_one_beam : bool
+    for_one_beam : bool
         Whether the noise is that of a beam.
 
     Returns
     -------
     ndarray, shape (m, 3, 3), m^2/s^2
     """
-    if of_one_beam:
+    if for_one_beam:
         return sd_mps**2 * velocities.unit_cov_b
     values, vectors = np.linalg.eigh(velocities.full_unit_cov_b)
     whiten = vectors / np.sqrt(values) @ vectors.T
@@ -308,73 +238,51 @@ def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, of_one_beam: bool 
 
 
 def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, reopen_after: int) -> Measurement:
-    """Aid by the DVL's velocity at every ping.
+    """Return the measurement of the DVL's velocity at every ping.
 
     Parameters
     ----------
-    velocities : DvlVelocities
-        m pings.
     cov_b : ndarray, shape (m, 3, 3)
         From `velocity_cov`.
     gate : float
         Largest NIS that is used.
     reopen_after : int
-        Rejections in a row after which the velocity's uncertainty is opened; 0: never.
+        Rejections in a row that open the velocity's uncertainty; 0: never.
     """
-    m = len(velocities.time_ns)
-    return Measurement(
-        name="velocity",
-        unit="m/s",
-        kind=VELOCITY,
-        sensor=PINGS,
-        available=np.ones(m, dtype=np.bool_),
-        valid_ns=velocities.time_ns,
-        values=velocities.velocity_b,
-        cov=cov_b,
-        gate=gate,
-        reopen_after=reopen_after,
-        velocity_weights=np.zeros((m, 1)),
-        interval_weights=np.zeros((m, 0)),
-        axes=("x", "y", "z"),
-        holds_height=True,
+    made = sensor_measurement(
+        "velocity", "m/s", VELOCITY, velocities.time_ns, velocities.velocity_b, np.ones(3), axes=("x", "y", "z")
     )
+    weights = np.zeros((len(cov_b), 1))
+    return replace(made, cov=cov_b, gate=gate, reopen_after=reopen_after, velocity_weights=weights, holds_height=True)
 
 
 def beam_measurements(dvl: DvlBeams, sd_mps: float, gate: float, reopen_after: int) -> tuple[Measurement, ...]:
-    """Aid by the velocities along the beams, each judged by itself, and measure how they agree.
+    """Return a measurement of each beam, ``beam_1`` and so on, as measurements of one reading, each with its own gate.
 
     Parameters
     ----------
-    dvl : DvlBeams
-        k pings.
     sd_mps : float
         Noise of one beam.
     gate : float
         Largest NIS of a beam that is used.
     reopen_after : int
-        Pings in a row of which no beam was used, after which the velocity's uncertainty is opened; 0: never.
-
-    Returns
-    -------
-    tuple of Measurement
-        One for each beam, ``beam_1`` and so on, as measurements of one reading.
+        Pings in a row without a used beam that open the velocity's uncertainty; 0: never.
     """
-    beams = dvl.beam_velocity_mps.shape[1]
     found = []
-    for beam in range(beams):
+    for beam, direction_b in enumerate(dvl.directions_b):
         reading = dvl.beam_velocity_mps[:, beam : beam + 1]
-        one = sensor_measurement(
+        made = sensor_measurement(
             beam_name(beam + 1), "m/s", BEAM, dvl.time_ns, np.nan_to_num(reading), np.array([sd_mps])
         )
         found.append(
             replace(
-                one,
+                made,
                 sensor=BEAMS,
                 available=np.isfinite(reading[:, 0]),
                 gate=gate,
                 reopen_after=reopen_after,
-                direction_b=dvl.directions_b[beam],
-                goes_on=beam < beams - 1,
+                direction_b=direction_b,
+                goes_on=beam < len(dvl.directions_b) - 1,
                 holds_height=True,
             )
         )
@@ -393,12 +301,10 @@ def acceleration_measurement(
     accel_white_mps_rts: float,
     gate: float,
 ) -> Measurement:
-    """Aid by the slope of past DVL velocities.
+    """Return the measurement of the slope of past DVL velocities.
 
     Parameters
     ----------
-    velocities : DvlVelocities
-        m pings.
     velocity_cov_b : ndarray, shape (m, 3, 3)
         From `velocity_cov`.
     kind : int
@@ -438,20 +344,17 @@ def acceleration_measurement(
     )
 
 
-_PARITY_BEAMS: Final = 4
-"""With fewer there is nothing to agree; of more than four, one number would not say how."""
-
-
 def parity_innovations(beams: DvlBeams, sd_mps: float) -> tuple[Innovations, ...]:
-    """Return the parity of each ping that has four beams, as an innovation that no filter predicted; else nothing.
+    """Return the parity of each ping with four beams, as an innovation that no filter predicted; else nothing.
+
+    With fewer beams there is no redundancy. With more, one number does not describe it.
 
     Parameters
     ----------
-    beams : DvlBeams
     sd_mps : float
-        Noise of one beam, as a filter is told it.
+        Noise of one beam in the settings.
     """
-    if len(beams.directions_b) != _PARITY_BEAMS:
+    if len(beams.directions_b) != 4:
         return ()
     blind = np.linalg.svd(beams.directions_b.T)[2][-1]
     whole = np.isfinite(beams.beam_velocity_mps).all(axis=1)

@@ -1,20 +1,13 @@
-"""The level from gravity: what accelerometers feel less what the DVL says the vehicle itself does.
+"""The start of a filter: the level from gravity, the covariance of the errors at the start, and drawn starts.
 
-In the Earth's frame ``dv/dt = f + g``. The gyros turn everything to the body axes at the start, by R from b at a time
-to b at the start, so that a vehicle that turns or changes its speed is levelled like one at rest:
+Gravity is what accelerometers feel less what the DVL measures of the vehicle's own acceleration. In the Earth's frame
+``dv/dt = f + g``. The gyros turn everything to the body axes at the start, by R from b at a time to b at the start, so
+that a vehicle that turns or accelerates is levelled like one at rest:
 
     R v_b - int R f dt = v_b(start) + g_b t
 
-A straight line through the left side, known at each ping, has gravity as its slope. Coriolis' acceleration is left out,
-0.002 deg at 2 m/s, as is the gyros' white noise.
-
-What a filter starts from, and how its errors hang together.
-
-Starts that err as much as a filter is told they may.
-
-A replay starts on its reference, without the errors that P0 allows for and that aiding exists to find. From one such
-start nothing can be learnt of how fast a filter finds them; from several that are drawn, its true errors can be seen to
-fall.
+A straight line through the left side, known at each ping, has gravity as its slope. The Coriolis acceleration, 0.002
+deg at 2 m/s, and the gyros' white noise are left out.
 """
 
 from dataclasses import dataclass, field, replace
@@ -30,63 +23,38 @@ from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
 
 LEVELLING_S: Final = 10.0
-"""Longest time over which gravity is looked for: pings of 1 Hz and 2 cm/s tell it to 0.013 deg, far below any bias."""
+"""Longest time for the level: pings of 1 Hz and 2 cm/s determine it to 0.013 deg, far below any bias."""
 FEWEST_SAMPLES: Final = 10
-"""With fewer samples gravity is not told from motion."""
+"""With fewer samples the level is not found."""
 LONGEST_PAUSE_S: Final = 0.5
-"""Nobody integrates across a longer pause of the IMU."""
+"""Longest pause of the IMU to integrate across."""
 UNSEEN_MPS2: Final = 0.5
-"""Standard deviation of a vehicle's mean acceleration where no DVL sees it: a turn at 2 m/s and 15 deg/s."""
+"""Standard deviation of a vehicle's mean acceleration without a DVL: a turn at 2 m/s and 15 deg/s."""
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise of the sensors that find the level.
+    """Noise of the sensors that find the level."""
 
-    Attributes
-    ----------
-    velocity_cov_b : ndarray, shape (m, 3, 3)
-        Of each ping, m^2/s^2.
-    accel_white_mps_rts : float
-        Of the accelerometers, m/s/sqrt(s).
-    """
-
-    velocity_cov_b: Floats
-    accel_white_mps_rts: float
+    velocity_cov_b: Floats  # (m, 3, 3), of each ping, m^2/s^2
+    accel_white_mps_rts: float  # m/s/sqrt(s)
 
 
 @dataclass(frozen=True)
 class Level:
-    """Gravity as the vehicle feels it at the start, and how it errs.
+    """Gravity in the body axes at the start, and its error.
 
     The error of ``gravity_b`` is ``per_accel_bias @ b_a + per_gyro_bias @ b_g`` plus noise, for biases of readings that
     are true plus bias.
-
-    Attributes
-    ----------
-    gravity_b : ndarray, shape (3,)
-        m/s^2, downwards.
-    velocity_b : ndarray, shape (3,)
-        Of the IMU over ground at the start, by the first ping, m/s; NaN without pings.
-    per_accel_bias : ndarray, shape (3, 3)
-        Near minus one.
-    per_gyro_bias : ndarray, shape (3, 3)
-        m/s^2 for one rad/s.
-    noise_cov_b : ndarray, shape (3, 3)
-        m^2/s^4
-    span_s : float
-        Time over which gravity was found.
-    pings : int
-        That took the vehicle's own acceleration off; 0 where there were too few.
     """
 
-    gravity_b: Floats
-    velocity_b: Floats
-    per_accel_bias: Floats
-    per_gyro_bias: Floats
-    noise_cov_b: Floats
-    span_s: float
-    pings: int
+    gravity_b: Floats  # (3,), m/s^2, downwards
+    velocity_b: Floats  # (3,), of the IMU over ground at the start, by the first ping, m/s; NaN without pings
+    per_accel_bias: Floats  # (3, 3), near minus one
+    per_gyro_bias: Floats  # (3, 3), m/s^2 for one rad/s
+    noise_cov_b: Floats  # (3, 3), m^2/s^4
+    span_s: float  # time over which gravity was found
+    pings: int  # that removed the vehicle's own acceleration; 0 where there were too few
 
     @property
     def roll_pitch(self) -> tuple[float, float]:
@@ -97,28 +65,19 @@ class Level:
 
 @dataclass(frozen=True)
 class _Window:
-    """Readings and what they add up to at the nodes, which are the IMU's times, the start and the pings.
-
-    ``mat`` takes b to b at the start; ``force_sum`` and ``mat_sum`` integrate ``mat f`` and ``mat`` from the start on.
-    """
+    """Readings and their integrals at the nodes, which are the IMU's times, the start and the pings."""
 
     time_ns: TimeNs
     time_s: Floats
     force_b: Floats
     rate_eb_b: Floats
-    mat: Floats
-    force_sum: Floats
-    mat_sum: Floats
+    mat: Floats  # b to b at the start
+    force_sum: Floats  # integral of ``mat f`` from the start
+    mat_sum: Floats  # integral of ``mat``
 
 
 def levelling_samples(imu: ImuColumns, start_ns: int) -> ImuColumns:
-    """Keep the samples of `LEVELLING_S` after the start, up to the first pause.
-
-    Returns
-    -------
-    ImuColumns
-        With fewer than `FEWEST_SAMPLES` the level is not found.
-    """
+    """Keep the samples of `LEVELLING_S` after the start, up to the first pause; `FEWEST_SAMPLES` are needed."""
     first = int(np.searchsorted(imu.time_ns, start_ns))
     last = int(np.searchsorted(imu.time_ns, start_ns + nanoseconds(LEVELLING_S), side="right"))
     pauses = np.flatnonzero(np.diff(imu.time_ns[first:last]) > nanoseconds(LONGEST_PAUSE_S))
@@ -168,10 +127,20 @@ def _window(imu: ImuColumns, ping_ns: TimeNs, start_ns: int, heading: float, lat
         np.column_stack([np.interp(time_s, sample_s, column) for column in readings.T])
         for readings in (imu.specific_force_b, imu.angular_rate_b)
     )
-    rate_ie_b = _earth_rate_b(force_b.mean(axis=0), heading, latitude)
-    # Seen from the stars, the Earth turns about an axis that stands still in b at the start.
-    mat_from_inertial = mat_from_vector(-time_s[:, None] * rate_ie_b)
-    mat = mat_from_inertial @ _turned(rate_ib_b, time_s)
+    # The Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg.
+    x, y, z = force_b.mean(axis=0)
+    mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
+    rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
+    # The rotation from b at each time to b at the first. Products of neighbours are doubled in reach until each
+    # contains all before it.
+    step = 0.5 * (rate_ib_b[1:] + rate_ib_b[:-1]) * np.diff(time_s)[:, None]
+    turned = np.concatenate([np.eye(3)[None], mat_from_vector(step)])
+    reach = 1
+    while reach < len(turned):
+        turned[reach:] = turned[:-reach] @ turned[reach:]
+        reach *= 2
+    # In inertial space, the Earth turns about an axis that is fixed in b at the start.
+    mat = mat_from_vector(-time_s[:, None] * rate_ie_b) @ turned
     return _Window(
         time_ns,
         time_s,
@@ -181,28 +150,6 @@ def _window(imu: ImuColumns, ping_ns: TimeNs, start_ns: int, heading: float, lat
         _integral(np.einsum("kij,kj->ki", mat, force_b), time_s),
         _integral(mat, time_s),
     )
-
-
-def _earth_rate_b(mean_force_b: Floats, heading: float, latitude: float) -> Floats:
-    """Return the Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg."""
-    x, y, z = mean_force_b
-    mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
-    rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
-    return rate_ie_b
-
-
-def _turned(rate_b: Floats, time_s: Floats) -> Floats:
-    """Return the rotation from b at each time to b at the first, shape (k, 3, 3).
-
-    Products of neighbours are doubled in reach until each has all before it, in place of one after the other.
-    """
-    step = 0.5 * (rate_b[1:] + rate_b[:-1]) * np.diff(time_s)[:, None]
-    mat = np.concatenate([np.eye(3)[None], mat_from_vector(step)])
-    reach = 1
-    while reach < len(mat):
-        mat[reach:] = mat[:-reach] @ mat[reach:]
-        reach *= 2
-    return mat
 
 
 def _integral(values: Floats, time_s: Floats) -> Floats:
@@ -275,34 +222,16 @@ def _level(
 
 @dataclass(frozen=True)
 class Start:
-    """Where a filter starts and how sure it is.
+    """The state of a filter at the start, and its uncertainty."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (3,)
-        Latitude rad, longitude rad, height m.
-    velocity_n : ndarray, shape (3,)
-        m/s
-    mat_nb : ndarray, shape (3, 3)
-        Attitude.
-    cov : ndarray, shape (12, 12)
-        Covariance of the error states, SI units.
-    accel_bias_b, gyro_bias_b : ndarray, shape (3,)
-        Biases that are known beforehand, m/s^2 and rad/s; zero unless given.
-    constants : ndarray, shape (c,)
-        Of the sensors, that have states of their own.
-    is_heading_sensed : bool
-        The heading is that of the sensor, and has its bias.
-    """
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    cov: Floats
-    accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
-    gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))
-    constants: Floats = field(default_factory=lambda: np.zeros(0))
-    is_heading_sensed: bool = False
+    position: Floats  # (3,), latitude rad, longitude rad, height m
+    velocity_n: Floats  # (3,), m/s
+    mat_nb: Floats  # (3, 3)
+    cov: Floats  # (n, n), of the error states, SI units
+    accel_bias_b: Floats = field(default_factory=lambda: np.zeros(3))  # known beforehand, m/s^2
+    gyro_bias_b: Floats = field(default_factory=lambda: np.zeros(3))  # rad/s
+    constants: Floats = field(default_factory=lambda: np.zeros(0))  # (c,), of the sensors, that have states
+    is_heading_sensed: bool = False  # the heading is the sensor's, with its bias
 
     @property
     def sd(self) -> Floats:
@@ -311,14 +240,14 @@ class Start:
 
 
 def with_more_states(start: Start, more_sd: Floats, constants: int, *, heading_bias: bool = False) -> Start:
-    """Let a start be of more states, independent of all others but for the bias of a heading that was the sensor's.
+    """Add states to a start, independent of all others except the bias of a heading that was the sensor's.
 
     Parameters
     ----------
     more_sd : ndarray, shape (n - 12,)
         Their standard deviations.
     constants : int
-        How many of them are constants of the sensors, which are taken to be zero.
+        How many of them are constants of the sensors, which start as zero.
     heading_bias : bool
         Whether the last of them is that bias.
     """
@@ -370,29 +299,32 @@ def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n
 
 
 def drawn_starts(start: Start, count: int, seed: int | tuple[int, ...]) -> tuple[Start, ...]:
-    """Return a start, and others beside it that err by what is drawn from its covariance.
+    """Return a start, and others with errors that are drawn from its covariance.
+
+    A replay starts on its reference, without the errors that P0 allows for and that aiding exists to find. Only drawn
+    starts show how fast a filter finds them.
 
     Parameters
     ----------
     count : int
-        How many, the start itself among them. Of two counts, the smaller gives the first of the larger.
+        How many, with the start itself. Of two counts, the smaller gives the first of the larger.
     seed : int
-        Of the draws. Filters that start alike meet the same errors.
+        Of the draws. Filters with equal starts get equal errors.
 
     Returns
     -------
     tuple of Start
-        The first is the start itself. All have its position, which no error state is of, and its covariance.
+        The first is the start itself. All have its position, which has no error state, and its covariance.
     """
     # By a triangular factor, which is the same on every processor; eigenvectors of equal variances would not be. The
     # states are scaled by their standard deviations first: in SI units P0 spans some ten decades.
     factor = np.linalg.cholesky(start.cov / np.outer(start.sd, start.sd))
     normal = np.random.default_rng(seed).standard_normal((max(count - 1, 0), len(start.cov)))
-    return (start, *(erring(start, start.sd * (factor @ draw)) for draw in normal))
+    return (start, *(start_with_error(start, start.sd * (factor @ draw)) for draw in normal))
 
 
-def erring(start: Start, error: Floats) -> Start:
-    """Let a start err: the inverse of `correction.correct`, which takes the same errors out.
+def start_with_error(start: Start, error: Floats) -> Start:
+    """Add an error to a start: the inverse of `kalman.correct`, which takes the same errors out.
 
     The velocity follows from the error that is exact for misalignments of any size, ``dv + v_hat x phi``, which is
     ``v_hat - exp([phi x]) v``: ``(I + [phi x]) v_hat = exp([phi x]) v + dv``.

@@ -1,17 +1,9 @@
-"""The motion around which errors are linearised, at the pings, and how those at the start have grown until then.
-
-Observability: which errors at the start of a span its measurements can tell apart.
+"""Observability: the errors at the start of a span that its measurements can tell apart.
 
 The rows ``H(t) Phi(t, t0)`` of all pings are stacked. Each is divided by its measurement's noise, so that velocities
-and accelerations can stand in one stack, and each state is counted in units of its prior standard deviation. A singular
-value s is then a ratio of signal to noise: were there no process noise, the measurements would leave
-``1 / sqrt(1 + s^2)`` of the prior uncertainty along its direction. What they leave with it, see `remaining_cov`.
-
-Directions of error that have a name, since straight and level motion hides them.
-
-A misalignment tilts gravity, and an accelerometer bias can level it out again: the pair stays as it is. So does a
-heading error with the velocity error that turns the way as a whole. On the turning Earth each also needs the gyro bias
-that takes the Earth's rate out.
+and accelerations fit into one stack, and each state is in units of its prior standard deviation. A singular value s is
+then a ratio of signal to noise: without process noise, the measurements leave ``1 / sqrt(1 + s^2)`` of the prior
+uncertainty along its direction. What they leave with it, see `remaining_cov`.
 """
 
 from collections.abc import Sequence
@@ -38,48 +30,34 @@ from insdvl_replay.nav.algebra import (
     write_row_vector,
 )
 from insdvl_replay.nav.earth_model import (
+    NOWHERE,
     gravity_at,
+    local_earth_at,
+    local_earth_near,
     normal_gravity,
-    place_about,
-    place_at,
     transport_curvature,
     transport_rate_n,
 )
-from insdvl_replay.nav.error_model import TWELVE, TWELVE_ALONE, add_noise, propagate_cov, propagate_errors
+from insdvl_replay.nav.error_model import TWELVE, TWELVE_ALONE, add_noise, over, propagate_cov, propagate_errors
 from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transposed_gain, update_cov
 from insdvl_replay.nav.measurements import InsAtPing, Measurement, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
 
+TOLERANCE: Final = 3e-6
+"""Rounding leaves about 1e-8 of the largest singular value; the weakest effect, of the Earth's rate, is about 1e-5."""
+
 
 class NominalPings(NamedTuple):
-    """The motion around which the errors are linearised, where it is measured.
+    """The motion around which the errors are linearised, at the pings."""
 
-    Attributes
-    ----------
-    velocity_n : ndarray, shape (m, 3)
-        m/s
-    mat_nb : ndarray, shape (m, 3, 3)
-        Attitude.
-    rate_nb_b : ndarray, shape (m, 3)
-        Angular rate of the body against n, rad/s.
-    gravity : ndarray, shape (m,)
-        m/s^2
-    transition : ndarray, shape (m, 12, 12)
-        Phi(t, t0), from the errors at the start to those at the ping.
-    step : ndarray, shape (m, 12, 12)
-        Phi from the ping before, of the first from the start.
-    noise : ndarray, shape (m, 12, 12)
-        Covariance of what process noise has added meanwhile.
-    """
-
-    velocity_n: Floats
-    mat_nb: Floats
-    rate_nb_b: Floats
-    gravity: Floats
-    transition: Floats
-    step: Floats
-    noise: Floats
+    velocity_n: Floats  # (m, 3), m/s
+    mat_nb: Floats  # (m, 3, 3)
+    rate_nb_b: Floats  # (m, 3), angular rate of the body against n, rad/s
+    gravity: Floats  # (m,), m/s^2
+    transition: Floats  # (m, 12, 12), Phi(t, t0), from the errors at the start to those at the ping
+    step: Floats  # (m, 12, 12), Phi from the ping before, for the first from the start
+    noise: Floats  # (m, 12, 12), covariance that process noise has added meanwhile
 
 
 def nominal_pings(
@@ -99,7 +77,7 @@ def nominal_pings(
     noise_density : ndarray, shape (12,)
         From `error_model.noise_density`; long gaps of the IMU add theirs.
     earth_rate : bool
-        False: let the Earth be flat and at rest, and take the Coriolis acceleration out of the readings.
+        False: the Earth is flat and at rest, and the Coriolis acceleration is taken out of the readings.
 
     Raises
     ------
@@ -156,18 +134,22 @@ def _walk_motion(
     transition, step, noise = np.eye(TWELVE), np.eye(TWELVE), np.zeros((TWELVE, TWELVE))
     step_by_row, noise_by_row = step.ravel(), noise.ravel()
     state = _row_state(nominal, timeline.record[0])
-    place = place_at(state.position[0], state.position[2])
+    earth = NOWHERE
     before = first_node(timeline)
     while not is_last(timeline, before):
         now = next_node(timeline, before)
         dt = now.time_s - before.time_s
         before_n = state.velocity_n
-        place = place_about(state.position, place)
+        earth = local_earth_near(state.position, earth)
         force_b = mean(before.specific_force_b, now.specific_force_b)
         rate_b = mean(before.angular_rate_b, now.angular_rate_b)
-        state, motion = propagate(state, force_b, rate_b, dt, place, gravity_at(place, state.position[2]))
-        errors_motion = motion if earth_rate else _on_a_resting_earth(motion, before_n)
-        propagate_errors(step_by_row, errors_motion, dt)
+        state, motion = propagate(state, force_b, rate_b, dt, earth, gravity_at(earth, state.position[2]))
+        errors_motion = motion
+        if not earth_rate:
+            # The same way on an Earth that is flat and at rest takes another specific force.
+            coriolis_n, still = cross(add(motion.rate_ie_n, motion.rate_in_n), before_n), (0.0, 0.0, 0.0)
+            errors_motion = Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still)
+        propagate_errors(step_by_row, noise_density, over(errors_motion, dt))
         propagate_cov(noise_by_row, errors_motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
@@ -192,22 +174,10 @@ def _walk_motion(
             step[:], noise[:] = np.eye(TWELVE), 0.0
 
 
-@inlined
-def _on_a_resting_earth(motion: Motion, velocity_n: Vector) -> Motion:
-    """Return the motion with the specific force that the same way would take on an Earth that is flat and at rest."""
-    coriolis_n = cross(add(motion.rate_ie_n, motion.rate_in_n), velocity_n)
-    still = (0.0, 0.0, 0.0)
-    return Motion(still, still, subtract(motion.force_n, coriolis_n), motion.mat_nb, still)
-
-
-TOLERANCE: Final = 3e-6
-"""Rounding leaves about 1e-8 of the largest singular value; the weakest effect, of the Earth's rate, is about 1e-5."""
-
-
 def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
-    """Stack ``R^(-1/2) H(t) Phi(t, t0)`` over the pings that have a measurement.
+    """Stack ``R^(-1/2) H(t) Phi(t, t0)`` over the pings that have a measurement, shape (3 k, 12).
 
-    Equation (47) of Levy and Klein: a direction is unobservable where all these rows are blind to it.
+    Equation (47) of Levy and Klein: a direction is unobservable where all these rows are zero along it.
 
     Parameters
     ----------
@@ -217,11 +187,6 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
         Of the same pings.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
-
-    Returns
-    -------
-    ndarray, shape (3 k, 12)
-        Three rows for each of the k pings that have the measurement.
     """
     rows = np.flatnonzero(measurement.available)
     H = jacobians(pings, measurement, lever_arm_b)[rows]
@@ -231,7 +196,7 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
 
 
 def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
-    """Return the H of a measurement at every ping.
+    """Return the H of a measurement at every ping, shape (m, 3, 12); zero without a measurement.
 
     Parameters
     ----------
@@ -241,11 +206,6 @@ def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats
         Of the same pings.
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
-
-    Returns
-    -------
-    ndarray, shape (m, 3, 12)
-        Zero where there is no measurement.
     """
     H = np.zeros((len(measurement.available), 3, TWELVE))
     _write_jacobians(stacked((measurement,)), np.flatnonzero(measurement.available), pings, vector(lever_arm_b), H)
@@ -254,22 +214,11 @@ def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats
 
 @dataclass(frozen=True)
 class Observability:
-    """What a stack of measurements tells about the errors at the start.
+    """Information of a stack of measurements about the errors at the start."""
 
-    Attributes
-    ----------
-    singular_values : ndarray, shape (12,)
-        Falling; signal to noise of each direction.
-    directions : ndarray, shape (12, 12)
-        Row i is the direction of singular value i, in prior standard deviations, of unit length; its largest
-        component is positive.
-    tolerance : float
-        A singular value up to this share of the largest is called zero.
-    """
-
-    singular_values: Floats
-    directions: Floats
-    tolerance: float
+    singular_values: Floats  # (12,), falling; signal to noise of each direction
+    directions: Floats  # (12, 12), a row for each, in prior standard deviations, of unit length; largest part positive
+    tolerance: float  # a singular value up to this share of the largest counts as zero
 
     @property
     def rank(self) -> int:
@@ -290,26 +239,19 @@ class Observability:
         return self.directions[self.rank :]
 
     def response(self, direction: Floats) -> float:
-        """Return the signal to noise with which the measurements see an error in a direction.
+        """Return the signal to noise of the measurements for an error in a direction.
 
         Parameters
         ----------
         direction : ndarray, shape (12,)
             In prior standard deviations, of unit length.
-
-        Returns
-        -------
-        float
-            Between the smallest and the largest singular value.
         """
         return float(np.linalg.norm(self.singular_values * (self.directions @ direction)))
 
     def left(self) -> Floats:
-        """Return the share of each state's prior standard deviation at the start that is left without process noise.
+        """Return the share of each state's prior standard deviation at the start that is left, shape (12,).
 
-        Returns
-        -------
-        ndarray, shape (12,)
+        Process noise does not count.
         """
         var = 1.0 / (1.0 + self.singular_values**2)
         share: Floats = np.sqrt(var @ self.directions**2)
@@ -343,7 +285,7 @@ def _write_jacobians(
 ) -> None:
     """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
     unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)
-    nowhere, nothing = place_at(0.0, 0.0), np.empty(0)
+    nothing = np.empty(0)
     for ping in rows:
         ins = InsAtPing(
             unused,
@@ -356,7 +298,7 @@ def _write_jacobians(
             unused_b,
             pings.gravity[ping],
             lever_arm_b,
-            nowhere,
+            NOWHERE,
             unused,
             nothing,
         )
@@ -366,11 +308,10 @@ def _write_jacobians(
 def remaining_cov(
     pings: NominalPings, measurements: Sequence[Measurement], lever_arm_b: Floats, prior_sd: Floats
 ) -> Floats:
-    """Carry the covariance over all pings: ``P <- Phi P Phi' + Q`` from one to the next, then its updates.
+    """Return P after the last ping: ``P <- Phi P Phi' + Q`` from one to the next, then its updates, shape (12, 12).
 
-    Observability asks what measurements tell of the errors at the start, which do not change any more. On the way
-    errors grow into each other and process noise adds to them, so that more may be left at the end than there was at
-    the start.
+    Observability is about the errors at the start, which do not change any more. On the way errors grow into each other
+    and process noise adds to them, so that more may be left at the end than there was at the start.
 
     Parameters
     ----------
@@ -382,11 +323,6 @@ def remaining_cov(
         IMU to DVL, m.
     prior_sd : ndarray, shape (12,)
         Standard deviations of the states at the start, SI units.
-
-    Returns
-    -------
-    ndarray, shape (12, 12)
-        P after the last ping.
     """
     P = np.diag(np.square(prior_sd))
     H = np.stack([jacobians(pings, measurement, lever_arm_b) for measurement in measurements])
@@ -402,7 +338,13 @@ def _walk_cov(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available
     (HP, KT, rest), grown = np.empty((3, 3, TWELVE)), np.empty((TWELVE, TWELVE))
     S, L = np.empty((2, 3, 3))
     for ping in range(len(steps)):
-        _advance(P, steps[ping], noises[ping], grown)
+        multiply(steps[ping], P, grown)
+        for i in range(TWELVE):
+            for j in range(i + 1):
+                total = noises[ping, i, j]
+                for k in range(TWELVE):
+                    total += grown[i, k] * steps[ping, j, k]
+                P[i, j] = P[j, i] = total
         for m in range(len(H)):
             if available[m, ping]:
                 innovation_cov(P, H[m, ping], cov_b[m, ping], HP, S)
@@ -411,17 +353,11 @@ def _walk_cov(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available
                 update_cov(P, H[m, ping], cov_b[m, ping], HP, KT, rest)
 
 
-@inlined
-def _advance(P: Floats, step: Floats, noise: Floats, grown: Floats) -> None:
-    """Write ``Phi P Phi' + Q`` to P, symmetric to the last bit."""
-    multiply(step, P, grown)
-    for i in range(TWELVE):
-        for j in range(i + 1):
-            total = noise[i, j]
-            for k in range(TWELVE):
-                total += grown[i, k] * step[j, k]
-            P[i, j] = P[j, i] = total
-
+# Named directions of error, since straight and level motion hides them
+#
+# A misalignment tilts gravity, and an accelerometer bias can cancel it: the pair stays. So does a heading error with
+# the velocity error that turns the way as a whole. On the turning Earth each also needs the gyro bias that cancels the
+# Earth's rate.
 
 _AXES: Final = ("north", "east", "down")
 _ACROSS: Final = {"north": "east", "east": "north"}
@@ -429,21 +365,11 @@ _ACROSS: Final = {"north": "east", "east": "north"}
 
 @dataclass(frozen=True)
 class ErrorDirection:
-    """A direction in the space of the 12 error states.
+    """A direction in the space of the 12 error states."""
 
-    Attributes
-    ----------
-    id : str
-        Name in tables.
-    label : str
-        Name in words.
-    error : ndarray, shape (12,)
-        SI units; the leading state is 1.
-    """
-
-    id: str
-    label: str
-    error: Floats
+    id: str  # name in tables
+    label: str  # name in words
+    error: Floats  # (12,), SI units; the leading state is 1
 
     def scaled(self, prior_sd: Floats) -> Floats:
         """Return the direction in prior standard deviations, of unit length."""
@@ -523,7 +449,7 @@ def name_unobservable(
         At most 12 less the rank; in the order of ``directions``.
     """
     unnamed, found = observability.unobservable, set()
-    for direction in sorted(directions, key=lambda each: observability.response(each.scaled(prior_sd))):
+    for direction in sorted(directions, key=lambda one: observability.response(one.scaled(prior_sd))):
         part = unnamed.T @ (unnamed @ direction.scaled(prior_sd))
         if part @ part > 0.5:
             found.add(direction.id)
@@ -551,6 +477,6 @@ def _error(**parts: Floats) -> Floats:
 def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
     """Return the rates of the Earth, and of n against the Earth at a velocity."""
     latitude, height_m = float(position[0]), float(position[2])
-    place = place_at(latitude, height_m)
-    rate_en_n = transport_rate_n(transport_curvature(place, height_m), vector(velocity_n))
-    return np.array(place.rate_ie_n), np.array(rate_en_n)
+    earth = local_earth_at(latitude, height_m)
+    rate_en_n = transport_rate_n(transport_curvature(earth, height_m), vector(velocity_n))
+    return np.array(earth.rate_ie_n), np.array(rate_en_n)

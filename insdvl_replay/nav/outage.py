@@ -1,8 +1,8 @@
-"""Coasting: a filter goes on from a ping that it has used, and every later one is withheld from it.
+"""The DVL outage test: a filter continues from a ping that it has used, without the later ones.
 
-It starts from what it has written down at that ping, state and P, so that a window costs no more than its own length.
-The withheld pings are measured against it all the same: their innovations say how far it has gone astray, and their
-NIS whether it knows.
+It starts from its history at that ping, state and P, so that a window costs no more than its own length. The
+innovations of the missing pings are computed all the same: they measure the drift, and their NIS the filter's
+consistency.
 """
 
 from collections.abc import Collection
@@ -15,11 +15,11 @@ from insdvl_replay.nav.earth_model import HOLD_AFTER_S
 from insdvl_replay.nav.error_model import TWELVE
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.measurements import Measurement, withheld
+from insdvl_replay.nav.measurements import Measurement, hold_out
 from insdvl_replay.nav.timeline import PINGS, Timeline
 
 
-def coast(
+def run_outage(
     history: History,
     timeline: Timeline,
     window_ns: tuple[int, int],
@@ -30,82 +30,76 @@ def coast(
     more_states: Collection[str] = (),
     heading_bias_rate_hz: float = 0.0,
 ) -> History:
-    """Let a filter go on from a ping with none of the next ones, accelerations neither; other sensors still aid it.
+    """Run a filter through an outage of the DVL, without its velocities and accelerations; other sensors still aid.
 
     Parameters
     ----------
     history : History
-        Of the filter with every ping; ValueError if it does not hold P at the start of the window.
+        Of the filter with every ping; ValueError if it has no P at the start of the window.
     timeline : Timeline
         With the readings of the measurements.
     window_ns : tuple of int
-        Times of the ping that is used last, and of the last one that is withheld.
+        Times of the last ping that is used, and of the last one that is missing.
     measurements : tuple of Measurement
         The velocity, prepared for every ping of the dive, and those that do not come from the DVL.
     noise_density, lever_arm_b, more_states, heading_bias_rate_hz
-        As the history was made with, see `filter.run_filter`.
+        As for the history, see `filter.run_filter`.
 
     Returns
     -------
     History
-        At the start of the window and at each withheld ping. Its first innovations are those of the withheld pings,
-        none of which is used; NIS is by the true R.
+        At the start of the window and at each missing ping. Its first innovations are those of the missing pings, none
+        of which is used; NIS is by the true R.
     """
     window, start = between_pings(timeline, *window_ns), restart(history, window_ns[0])
-    velocity, *others = (one.rows(_inside(timeline, one.sensor, *window_ns)) for one in measurements)
-    told = (withheld(velocity), *(one for one in others if one.available.any()))
+    events, inside = slice(*np.searchsorted(timeline.event_ns, window_ns, side="right")), []
+    for measurement in measurements:
+        rows = timeline.rows[measurement.sensor, events]
+        rows = rows[rows >= 0]
+        inside.append(measurement.rows(slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0)))
+    velocity, *others = inside
+    kept = (hold_out(velocity), *(other for other in others if other.available.any()))
     return run_filter(
-        history.filter, window, start, noise_density, told, lever_arm_b,
+        history.filter, window, start, noise_density, kept, lever_arm_b,
         more_states=more_states, heading_bias_rate_hz=heading_bias_rate_hz,
     )  # fmt: skip
 
 
-def _inside(timeline: Timeline, sensor: int, start_ns: int, end_ns: int) -> slice:
-    """Return the rows of a sensor's readings after a time and up to another."""
-    events = slice(*np.searchsorted(timeline.event_ns, [start_ns, end_ns], side="right"))
-    rows = timeline.rows[sensor, events]
-    rows = rows[rows >= 0]
-    return slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0)
-
-
 def restart(history: History, time_ns: int) -> Start:
-    """Return what a filter goes on from at a time at which its history holds P; ValueError at others.
+    """Return a start from a history at a time at which it has P; ValueError at others.
 
-    Its height is the one at which the filter takes gravity, from which it goes on: where it had no velocity for long,
-    its own has run away.
+    With twelve states its height is the one at which the filter takes gravity: after long times without a velocity,
+    the filter's own has drifted.
     """
-    row, of_cov = (int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns))
-    if of_cov == len(history.cov_ns) or history.cov_ns[of_cov] != time_ns:
+    row, cov_row = (int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns))
+    if cov_row == len(history.cov_ns) or history.cov_ns[cov_row] != time_ns:
         raise ValueError(f"the history of {history.filter} holds no P at {time_ns}")
     latitude, longitude, height_m = history.position[row]
-    drift_m = _height_drift_m(history, time_ns) if len(history.states) == TWELVE else 0.0
+    if len(history.states) == TWELVE:
+        # The sum of the height's drifts while that of gravity was held, see `earth_model.GravityHeight`.
+        holding = [found.time_ns[found.used] for found in history.innovations if found.holds_height]
+        aided_ns = np.unique(np.concatenate([history.time_ns[:1], *holding]))
+        aided_ns = aided_ns[aided_ns <= time_ns]
+        held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)
+        outages = held_ns < aided_ns[1:]
+        before = np.searchsorted(history.time_ns, held_ns[outages], side="right") - 1
+        after = np.searchsorted(history.time_ns, aided_ns[1:][outages])
+        height_m = height_m - float(np.sum(history.position[after, 2] - history.position[before, 2]))
     return Start(
-        np.array([latitude, longitude, height_m - drift_m]),
+        np.array([latitude, longitude, height_m]),
         history.velocity_n[row],
         history.mat_nb[row],
-        history.cov[of_cov],
+        history.cov[cov_row],
         history.accel_bias_b[row],
         history.gyro_bias_b[row],
         history.constants[row],
     )
 
 
-def _height_drift_m(history: History, until_ns: int) -> float:
-    """Sum up by what the height has moved while that of gravity was held, see `local_earth.GravityHeight`."""
-    holding = [one for one in history.innovations if one.holds_height]
-    aided_ns = np.unique(np.concatenate([history.time_ns[:1], *(one.time_ns[one.used] for one in holding)]))
-    aided_ns = aided_ns[aided_ns <= until_ns]
-    held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)
-    outages = held_ns < aided_ns[1:]
-    before = np.searchsorted(history.time_ns, held_ns[outages], side="right") - 1
-    after = np.searchsorted(history.time_ns, aided_ns[1:][outages])
-    return float(np.sum(history.position[after, 2] - history.position[before, 2]))
-
-
 def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
-    """Cut a time line from one ping to another, whose rows count from the one after the first.
+    """Cut a time line from one ping to another, with rows counted from the one after the first.
 
-    It has the same nodes, but only pings and the two ends are recorded.
+    It has the same nodes, but records only pings and the two ends.
     """
     events = slice(*np.searchsorted(timeline.event_ns, [start_ns, end_ns + 1]))
     samples = slice(

@@ -1,8 +1,8 @@
-"""One time line for the filter: the IMU's samples, and between them the events at which more than a reading is at hand.
+"""One time line for the filter: the IMU's samples, and between them the events with readings of other sensors.
 
-A ping falls inside an IMU interval. The time line has a node there, so that the filter propagates to the ping's time of
-validity, updates, and finishes the interval. Samples and events are merged as the filter goes along: nodes with their
-readings would take more memory than the samples themselves.
+A ping falls inside an IMU interval. The time line has a node there: the filter propagates to the ping's time of
+validity, updates, and finishes the interval. The filter merges samples and events on its way; nodes with their readings
+would take more memory than the samples themselves.
 """
 
 from collections.abc import Sequence
@@ -12,42 +12,32 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, Scalar, TimeNs, distinct, seconds
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct, seconds
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.core.states import STATES
 from insdvl_replay.nav.algebra import Vector, add, row_vector, scale, subtract
 
 PINGS: Final = 0
-"""The sensor whose readings are the DVL's pings: its row in the time line."""
+"""Row of the DVL's pings among the sensors of a time line."""
 BEAMS: Final = 1
-"""The one whose readings are pings of which any beam was heard; those of other sensors come behind."""
+"""Row of the pings with any beam; other sensors follow."""
 FIRST_OTHER: Final = 2
 BRIDGE_STEP_S: Final = 1.0
-"""Spacing of the nodes inside a gap: short enough that growing uncertainties see each other grow."""
+"""Spacing of the nodes inside a gap, short enough for growing uncertainties to act on each other."""
 
 
 @dataclass(frozen=True)
 class Gaps:
-    """The long gaps of one dive, in the order of time.
+    """The long gaps of the IMU in one dive, in the order of time."""
 
-    Attributes
-    ----------
-    start_ns, end_ns : ndarray, shape (g,)
-        The samples before and after each gap.
-    noise_density : ndarray, shape (g, 12)
-        What each adds to the diagonal of the process noise's spectral density, see `error_model.noise_density`.
-    rate_sd_radps : float
-        How fast the vehicle may turn in them, unseen.
-    """
-
-    start_ns: TimeNs
-    end_ns: TimeNs
-    noise_density: Floats
-    rate_sd_radps: float = 0.0
+    start_ns: TimeNs  # (g,), the sample before each gap
+    end_ns: TimeNs  # (g,), the sample after it
+    noise_density: Floats  # (g, 12), what each adds to that of the process noise, see `error_model.noise_density`
+    rate_sd_radps: float = 0.0  # how fast the vehicle may turn in a gap
 
     @property
     def length_s(self) -> Floats:
-        """How long each gap is, shape (g,)."""
+        """Length of each gap, shape (g,)."""
         return seconds(self.end_ns, self.start_ns)
 
     def where(self, keep: NDArray[np.bool_]) -> "Gaps":
@@ -59,29 +49,19 @@ class Gaps:
         return self.where((self.start_ns < end_ns) & (self.end_ns > start_ns))
 
     def overlap(self, from_ns: TimeNs, to_ns: TimeNs) -> NDArray[np.bool_]:
-        """Find which of some intervals hold part of a gap; an interval of no length, whether it lies inside one.
-
-        Parameters
-        ----------
-        from_ns, to_ns : ndarray, shape (k,)
-            Ends of the intervals.
-
-        Returns
-        -------
-        ndarray of bool, shape (k,)
-        """
+        """Return which intervals contain part of a gap; an interval of no length counts if it is inside one."""
         begun = np.searchsorted(self.start_ns, to_ns, side="left")
         over = np.searchsorted(self.end_ns, from_ns, side="right")
         return np.asarray(begun > over)
 
     def after(self, time_ns: TimeNs) -> NDArray[np.int64]:
-        """Return the row of the gap that lies after each of some times, -1 for none; shape as the times."""
+        """Return the row of the gap after each time, -1 for none."""
         row = np.searchsorted(self.start_ns, time_ns, side="right") - 1
         over = np.searchsorted(self.end_ns, time_ns, side="right") - 1
         return np.where(row > over, row, -1)
 
     def node_ns(self) -> TimeNs:
-        """Return the times at which a time line needs nodes: both ends of each gap and some between, shape (n,)."""
+        """Return the nodes that a time line needs: both ends of each gap and some between."""
         steps = np.ceil(self.length_s / BRIDGE_STEP_S).astype(np.int64)
         nodes = [
             start + np.linspace(0, end - start, int(count) + 1, dtype=np.int64)  # times since 1970 are no floats
@@ -90,13 +70,7 @@ class Gaps:
         return np.concatenate([np.empty(0, np.int64), *nodes])
 
     def longest_stretch(self, start_ns: int, end_ns: int) -> tuple[int, int]:
-        """Return the longest part of a span that has no gap.
-
-        Returns
-        -------
-        tuple of int
-            Start and end, ns.
-        """
+        """Return start and end of the longest part of a span without a gap."""
         inside = self.within(start_ns, end_ns)
         starts = np.concatenate([[start_ns], inside.end_ns])
         ends = np.concatenate([inside.start_ns, [end_ns]])
@@ -105,64 +79,35 @@ class Gaps:
 
 
 NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, len(STATES))))
-"""What a gapless dive has."""
 
 
 class Timeline(NamedTuple):
-    """Samples and events, whose times are the nodes between which the filter propagates.
+    """Samples and events, whose times are the nodes between which the filter propagates."""
 
-    Attributes
-    ----------
-    sample_ns : ndarray, shape (s,)
-        Times of the IMU's samples; the first is at or before the start, the last at or after the end.
-    specific_force_b, angular_rate_b : ndarray, shape (s, 3)
-        Readings of the samples, m/s^2 and rad/s.
-    event_ns : ndarray, shape (e,)
-        Strictly increasing, from start to end; where a sample has the same time, both are one node.
-    rows : ndarray of int, shape (s, e)
-        Row of each sensor's reading that is valid at each event, -1 for none; the first sensor's are the DVL's pings.
-    record : ndarray of int, shape (e,)
-        Row of the history that keeps each event, -1 for none; the first is kept.
-    gap : ndarray of int, shape (e,)
-        Row of the long gap that lies after each event, -1 for none.
-    gap_noise_density : ndarray, shape (g, 12)
-        What each long gap adds to the density of the process noise, see `Gaps`.
-    """
-
-    sample_ns: TimeNs
-    specific_force_b: Floats
-    angular_rate_b: Floats
-    event_ns: TimeNs
-    rows: NDArray[np.int64]
-    record: NDArray[np.int64]
-    gap: NDArray[np.int64]
-    gap_noise_density: Floats
+    sample_ns: TimeNs  # (s,); the first is at or before the start, the last at or after the end
+    specific_force_b: Floats  # (s, 3), m/s^2
+    angular_rate_b: Floats  # (s, 3), rad/s
+    event_ns: TimeNs  # (e,), strictly increasing, from start to end; one node with a sample of the same time
+    rows: NDArray[np.int64]  # (sensors, e), row of each sensor's reading at each event, -1 for none; pings first
+    record: NDArray[np.int64]  # (e,), row of the history for each event, -1 for none; the first has one
+    gap: NDArray[np.int64]  # (e,), row of the long gap after each event, -1 for none
+    gap_noise_density: Floats  # (g, 12), see `Gaps`
 
     @property
     def ping(self) -> NDArray[np.int64]:
-        """Row of the ping that is valid at each event, -1 for none, shape (e,); not to be asked by what is compiled."""
+        """Row of the ping at each event, -1 for none, shape (e,); not for compiled code."""
         return np.asarray(self.rows[PINGS])
 
 
 class Node(NamedTuple):
-    """Where the filter is on the time line.
-
-    Attributes
-    ----------
-    time_s : float
-        Seconds from the start.
-    sample, event : int
-        Rows of the last sample and of the last event that are not later.
-    specific_force_b, angular_rate_b : tuple of float
-        Readings, m/s^2 and rad/s: those of a sample, or on the line between two.
-    """
+    """The place of the filter on the time line."""
 
     time_ns: int
-    time_s: float
-    sample: int
-    event: int
-    specific_force_b: Vector
-    angular_rate_b: Vector
+    time_s: float  # seconds from the start
+    sample: int  # row of the last sample that is not later
+    event: int  # row of the last event that is not later
+    specific_force_b: Vector  # m/s^2, of a sample or interpolated between two
+    angular_rate_b: Vector  # rad/s
 
 
 NEVER: Final = np.empty(0, np.int64)
@@ -178,7 +123,7 @@ def build_timeline(
     others_ns: Sequence[TimeNs] = (),
     beams_ns: TimeNs = NEVER,
 ) -> Timeline:
-    """Set pings, readings of other sensors and reference times among the IMU's samples.
+    """Merge pings, readings of other sensors and reference times into the IMU's samples.
 
     Parameters
     ----------
@@ -187,59 +132,50 @@ def build_timeline(
     ping_ns : ndarray, shape (m,)
         Times of the velocities, after the start and up to the end.
     reference_ns : ndarray, shape (r,)
-        Times at which to keep the state for comparison; those outside are left out.
-    start_ns, end_ns : int
-        Span of the replay.
+        Times at which the history needs the state; those outside are left out.
     gaps : Gaps
-        The IMU's long gaps; in each the time line has nodes of its own.
+        The IMU's long gaps, which get nodes.
     others_ns : sequence of ndarray, shape (k,)
-        Times of the readings of each further sensor, increasing, after the start and up to the end. No state is kept
-        for them.
+        Times of each further sensor's readings, increasing, after the start and up to the end. Nothing is recorded for
+        them.
     beams_ns : ndarray, shape (k,)
-        Times of pings of which any beam was heard, where a filter is aided by single beams.
+        Times of pings with any beam, for filters aided by single beams.
 
     Raises
     ------
     ValueError
-        A reading or the span lies outside the IMU's samples.
+        A reading or the span is outside the IMU's samples.
     """
     if start_ns < imu.time_ns[0] or end_ns > imu.time_ns[-1]:
         raise ValueError("the span lies outside the IMU's samples")
     sensors_ns = (ping_ns, beams_ns, *others_ns)
     if any(len(time_ns) and (time_ns[0] <= start_ns or time_ns[-1] > end_ns) for time_ns in sensors_ns):
         raise ValueError("a reading lies outside the span")
+
+    def inside(time_ns: TimeNs) -> TimeNs:
+        return np.asarray(time_ns[(time_ns > start_ns) & (time_ns < end_ns)])
+
+    def row_at(time_ns: TimeNs) -> NDArray[np.int64]:
+        row = np.full(len(event_ns), -1)
+        row[np.searchsorted(event_ns, time_ns)] = np.arange(len(time_ns))
+        return row
+
     gaps = gaps.within(start_ns, end_ns)
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
-    recorded_ns = distinct(np.concatenate([ends_ns, ping_ns, _inside(reference_ns, ends_ns)]))
-    event_ns = distinct(np.concatenate([recorded_ns, *sensors_ns, _inside(gaps.node_ns(), ends_ns)]))
+    recorded_ns = distinct(np.concatenate([ends_ns, ping_ns, inside(reference_ns)]))
+    event_ns = distinct(np.concatenate([recorded_ns, *sensors_ns, inside(gaps.node_ns())]))
     covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
+    # The loop is compiled for contiguous, writable columns; others are copied.
     return Timeline(
-        _for_the_loop(imu.time_ns[covering]),
-        _for_the_loop(imu.specific_force_b[covering]),
-        _for_the_loop(imu.angular_rate_b[covering]),
+        np.require(imu.time_ns[covering], requirements=["C", "W"]),
+        np.require(imu.specific_force_b[covering], requirements=["C", "W"]),
+        np.require(imu.angular_rate_b[covering], requirements=["C", "W"]),
         event_ns,
-        np.stack([_row_at(event_ns, time_ns) for time_ns in sensors_ns]),
-        _row_at(event_ns, recorded_ns),
+        np.stack([row_at(time_ns) for time_ns in sensors_ns]),
+        row_at(recorded_ns),
         gaps.after(event_ns),
         gaps.noise_density,
     )
-
-
-def _inside(time_ns: TimeNs, ends_ns: TimeNs) -> TimeNs:
-    inside: TimeNs = time_ns[(time_ns > ends_ns[0]) & (time_ns < ends_ns[1])]
-    return inside
-
-
-def _row_at(event_ns: TimeNs, time_ns: TimeNs) -> NDArray[np.int64]:
-    """Return the row that each event has among other times, which are all events; -1 for none."""
-    row = np.full(len(event_ns), -1)
-    row[np.searchsorted(event_ns, time_ns)] = np.arange(len(time_ns))
-    return row
-
-
-def _for_the_loop(column: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Return a column as the loop is compiled for; only a strided one, or one that cannot be written to, is copied."""
-    return np.require(column, requirements=["C", "W"])
 
 
 @inlined
@@ -250,7 +186,7 @@ def first_node(timeline: Timeline) -> Node:
 
 @inlined
 def next_node(timeline: Timeline, before: Node) -> Node:
-    """Go on to the next sample or event, whichever comes first."""
+    """Return the next sample or event, whichever is earlier."""
     sample_ns, event_ns = timeline.sample_ns[before.sample + 1], timeline.event_ns[before.event + 1]
     sample, event = before.sample + (sample_ns <= event_ns), before.event + (event_ns <= sample_ns)
     return _node(timeline, min(sample_ns, event_ns), sample, event)
@@ -264,36 +200,31 @@ def is_last(timeline: Timeline, node: Node) -> bool:
 
 @inlined
 def is_event(timeline: Timeline, node: Node) -> bool:
-    """Return whether a node is an event, and not a sample alone."""
+    """Return whether a node is an event, and not only a sample."""
     here: bool = node.time_ns == timeline.event_ns[node.event]
     return here
 
 
 @inlined
 def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
-    time_s, before_s = _elapsed_s(timeline, time_ns), _elapsed_s(timeline, timeline.sample_ns[sample])
+    start_ns = timeline.event_ns[0]
+    time_s, before_s = (time_ns - start_ns) * 1e-9, (timeline.sample_ns[sample] - start_ns) * 1e-9
     force_b, rate_b = row_vector(timeline.specific_force_b, sample), row_vector(timeline.angular_rate_b, sample)
     if time_s == before_s:
         return Node(time_ns, time_s, sample, event, force_b, rate_b)
-    into_s, step_s = time_s - before_s, _elapsed_s(timeline, timeline.sample_ns[sample + 1]) - before_s
+    into_s, step_s = time_s - before_s, (timeline.sample_ns[sample + 1] - start_ns) * 1e-9 - before_s
     return Node(
         time_ns,
         time_s,
         sample,
         event,
-        _on_the_line(force_b, row_vector(timeline.specific_force_b, sample + 1), into_s, step_s),
-        _on_the_line(rate_b, row_vector(timeline.angular_rate_b, sample + 1), into_s, step_s),
+        _interpolated(force_b, row_vector(timeline.specific_force_b, sample + 1), into_s, step_s),
+        _interpolated(rate_b, row_vector(timeline.angular_rate_b, sample + 1), into_s, step_s),
     )
 
 
 @inlined
-def _elapsed_s(timeline: Timeline, time_ns: int) -> float:
-    since_s: float = (time_ns - timeline.event_ns[0]) * 1e-9
-    return since_s
-
-
-@inlined
-def _on_the_line(before: Vector, after: Vector, into_s: float, step_s: float) -> Vector:
+def _interpolated(before: Vector, after: Vector, into_s: float, step_s: float) -> Vector:
     step = subtract(after, before)
     return (
         step[0] / step_s * into_s + before[0],
@@ -304,5 +235,5 @@ def _on_the_line(before: Vector, after: Vector, into_s: float, step_s: float) ->
 
 @inlined
 def mean(one: Vector, other: Vector) -> Vector:
-    """Return the mean of a reading over an interval, from those at its ends."""
+    """Return the mean reading of an interval, of those at its ends."""
     return scale(0.5, add(one, other))

@@ -1,11 +1,11 @@
-"""A measurement of your own: a class with its readings and what the INS predicts of them, named in ``aiding``.
+"""A user-defined measurement: a class with its readings and its prediction by the INS, named in ``aiding``.
 
-    class Speed(OwnMeasurement):
+    class Speed(UserMeasurement):
         name, unit = "speed", "m/s"
 
         def readings(self, dive):
             log = dive.topics["speed_log"]
-            return OwnReadings(log.time_ns, log.values, np.array([0.05]))
+            return UserReadings(log.time_ns, log.values, np.array([0.05]))
 
         @staticmethod
         def predict(ins, z, H):
@@ -13,8 +13,8 @@
             z[0] = np.sqrt(north**2 + east**2 + down**2)
             H[0, 0], H[0, 1], H[0, 2] = north / z[0], east / z[0], down / z[0]
 
-``aiding = ["velocity", "my_package.module:Speed"]`` then aids by it, ``[topics.speed_log]`` names topic and field. Its
-rows stand in every table, by its name.
+``aiding = ["velocity", "my_package.module:Speed"]`` then aids by it, ``[topics.speed_log]`` names topic and field.
+Every table has rows for it, by its name.
 """
 
 import importlib
@@ -39,57 +39,40 @@ INS_SIZE: Final = 21
 
 
 @dataclass(frozen=True)
-class OwnReadings:
-    """What was measured.
+class UserReadings:
+    """The readings of a user-defined measurement."""
 
-    Attributes
-    ----------
-    time_ns : ndarray of int64, shape (k,)
-        Times of validity, strictly increasing.
-    values : ndarray, shape (k, s)
-        s is 1 to 4.
-    sd : ndarray, shape (s,) or (k, s)
-        Noise of the components, which do not depend on each other.
-    """
-
-    time_ns: TimeNs
-    values: Floats
-    sd: Floats
+    time_ns: TimeNs  # (k,), times of validity, strictly increasing
+    values: Floats  # (k, s), s is 1 to 4
+    sd: Floats  # (s,) or (k, s), noise of the independent components
 
 
-class OwnMeasurement:
-    """What a measurement of your own has to say; made without arguments.
+class UserMeasurement:
+    """A user-defined measurement; made without arguments."""
 
-    Attributes
-    ----------
-    name : str
-        In the tables: letters, digits and ``_``.
-    unit : str
-        Of its values.
-    """
+    name: str = ""  # in the tables: letters, digits and ``_``
+    unit: str = ""  # of its values
 
-    name: str = ""
-    unit: str = ""
+    def readings(self, dive: Dive) -> UserReadings:
+        """Return the readings of a dive: from its columns, from ``dive.topics``, or from a file of your own.
 
-    def readings(self, dive: Dive) -> OwnReadings:
-        """Return the readings of a dive: of its columns, of ``dive.topics``, or of a file of your own.
-
-        It is called again on dives without the pings of an outage; what is held out of the filters is in none of them.
+        It is called again on dives without the pings of an outage. No dive contains data that are held out of the
+        filters.
         """
         raise NotImplementedError
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
-        """Write what the INS expects to be measured, and its Jacobian.
+        """Write the reading that the INS predicts, and its Jacobian.
 
-        It is compiled with the filter if it can be: numbers, loops and numpy's functions of numbers; else it runs as
-        it is, and the filter with it, some hundred times slower.
+        It is compiled with the filter if it can be: numbers, loops and numpy's functions of numbers. Otherwise it runs
+        as Python, and the filter with it, some hundred times slower.
 
         Parameters
         ----------
         ins : ndarray, shape (21,)
-            What the INS knows: position (latitude and longitude rad, height m) 0 to 2, velocity in n 3 to 5, attitude
-            b to n row by row 6 to 14, specific force in b 15 to 17, angular rate against the Earth in b 18 to 20.
+            The INS: position (latitude and longitude rad, height m) 0 to 2, velocity in n 3 to 5, attitude b to n row
+            by row 6 to 14, specific force in b 15 to 17, angular rate against the Earth in b 18 to 20.
         z : ndarray, shape (s,)
             Written.
         H : ndarray, shape (s, n)
@@ -100,8 +83,8 @@ class OwnMeasurement:
         raise NotImplementedError
 
 
-def load_own_measurement(word: str) -> OwnMeasurement:
-    """Import a measurement by ``module:Class``; ValueError where that cannot be, or is none, says why."""
+def load_user_measurement(word: str) -> UserMeasurement:
+    """Import a measurement by ``module:Class``; a ValueError says why that fails."""
     module, _, name = word.partition(":")
     try:
         imported: Any = importlib.import_module(module)
@@ -112,37 +95,29 @@ def load_own_measurement(word: str) -> OwnMeasurement:
         near = get_close_matches(name, vars(imported), n=1)
         raise ValueError(f"is not in {module}" + (f", which has {near[0]}" if near else ""))
     found = getattr(imported, name)
-    if not (isinstance(found, type) and issubclass(found, OwnMeasurement)):
-        raise ValueError("is no class derived from OwnMeasurement")
+    if not (isinstance(found, type) and issubclass(found, UserMeasurement)):
+        raise ValueError("is no class derived from UserMeasurement")
     try:
-        own = found()
+        user = found()
     except (Exception, SystemExit) as error:
         raise ValueError(f"cannot be made without arguments: {error}") from error
-    _require_words(own)
-    _require_methods(own)
-    return own
-
-
-def _require_methods(own: OwnMeasurement) -> None:
-    for method, takes in (("readings", "self, dive"), ("predict", "ins, z, H")):
-        if getattr(type(own), method) is getattr(OwnMeasurement, method):
-            raise ValueError(f"has no method {method}({takes})")
-    if inspect.ismethod(own.predict):
-        raise ValueError("has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)")
-
-
-def _require_words(own: OwnMeasurement) -> None:
-    for what, word in (("name", own.name), ("unit", own.unit)):
+    for what, word in (("name", user.name), ("unit", user.unit)):
         if not isinstance(word, str):
             raise ValueError(f"has the {what} {word!r}, which is no text")
-    if not own.name.isidentifier() or not is_whole(own.name):
-        raise ValueError(f"has the name '{own.name}', which is no word for a row of a table")
-    if is_reserved(own.name):
-        raise ValueError(f"has the name '{own.name}', which the tables have for a measurement of the tool's own")
+    if not user.name.isidentifier() or not is_whole(user.name):
+        raise ValueError(f"has the name '{user.name}', which is no word for a row of a table")
+    if is_reserved(user.name):
+        raise ValueError(f"has the name '{user.name}', which the tables have for a measurement of the tool's own")
+    for method, takes in (("readings", "self, dive"), ("predict", "ins, z, H")):
+        if getattr(found, method) is getattr(UserMeasurement, method):
+            raise ValueError(f"has no method {method}({takes})")
+    if inspect.ismethod(user.predict):
+        raise ValueError("has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)")
+    return user
 
 
 def compiled_prediction(predict: Predict) -> Predict | None:
-    """Compile a prediction so that `joined` can call it; None where it cannot be, or where nothing is compiled."""
+    """Compile a prediction so that `joined` can call it; None where that fails, or where nothing is compiled."""
     import numba
     from numba.core import config
 
@@ -150,7 +125,7 @@ def compiled_prediction(predict: Predict) -> Predict | None:
         return None
     try:
         made: Any = numba.njit(_signature(), error_model="numpy")(plain(predict))
-    except Exception:  # some of what numba cannot do it says by errors of its own, some by Python's
+    except Exception:  # numba has errors of its own for some code, and Python's for other
         return None
     found: Predict = made
     return found
@@ -159,14 +134,29 @@ def compiled_prediction(predict: Predict) -> Predict | None:
 def joined(predictions: Sequence[Predict], *, compiled: bool) -> Predicts:
     """Make one function of all predictions, so that the filter is the same code for any number of them.
 
-    Where all are from `compiled_prediction`, so is what is made of them; else it runs as it is.
+    The result is compiled where all predictions are from `compiled_prediction`.
     """
     import numba
     from numba import types
 
-    chosen = _last(predictions[-1])
+    def last(predict: Predict) -> Predicts:
+        def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
+            predict(ins, z, H)
+
+        return chosen
+
+    def first_or(predict: Predict, others: Predicts) -> Predicts:
+        def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
+            if which == 0:
+                predict(ins, z, H)
+            else:
+                others(which - 1, ins, z, H)
+
+        return chosen
+
+    chosen = last(predictions[-1])
     for predict in reversed(predictions[:-1]):
-        chosen = _first_of(predict, numba.njit(error_model="numpy")(chosen) if compiled else chosen)
+        chosen = first_or(predict, numba.njit(error_model="numpy")(chosen) if compiled else chosen)
     if not compiled:
         return chosen
     found: Predicts = numba.cfunc(types.void(types.int64, *_signature().args), error_model="numpy")(chosen)
@@ -180,32 +170,22 @@ def _signature() -> Any:
     return types.void(vector, vector, matrix)
 
 
-def _last(predict: Predict) -> Predicts:
-    def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
-        predict(ins, z, H)
+def checked_readings(readings: UserReadings) -> UserReadings:
+    """Require what the filter relies on; a ValueError says what is wrong."""
 
-    return chosen
+    def numbers(what: str, given: Any) -> Floats:
+        try:
+            return np.asarray(given, np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"gives {what} that are no array of numbers: {error}") from error
 
-
-def _first_of(predict: Predict, others: Predicts) -> Predicts:
-    def chosen(which: int, ins: Floats, z: Floats, H: Floats) -> None:
-        if which == 0:
-            predict(ins, z, H)
-        else:
-            others(which - 1, ins, z, H)
-
-    return chosen
-
-
-def checked_readings(readings: OwnReadings) -> OwnReadings:
-    """Require what the filter relies on; ValueError says what is wrong."""
-    time_ns, values = np.asarray(readings.time_ns), _numbers("values", readings.values)
+    time_ns, values = np.asarray(readings.time_ns), numbers("values", readings.values)
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
         shapes = f"{time_ns.shape} and {values.shape}"
         raise ValueError(f"gives times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4")
     if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
         raise ValueError("gives times that are not increasing int64 nanoseconds")
-    sd = _numbers("sd", readings.sd)
+    sd = numbers("sd", readings.sd)
     try:
         sd = np.broadcast_to(sd, values.shape)
     except ValueError as error:
@@ -218,11 +198,4 @@ def checked_readings(readings: OwnReadings) -> OwnReadings:
             )
     if not np.isfinite(sd).all():
         raise ValueError("gives sd that is not finite")
-    return OwnReadings(time_ns, values, sd)
-
-
-def _numbers(what: str, given: Any) -> Floats:
-    try:
-        return np.asarray(given, np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"gives {what} that are no array of numbers: {error}") from error
+    return UserReadings(time_ns, values, sd)

@@ -34,8 +34,8 @@ from insdvl_replay.nav.measurements import (
     PUBLISHED,
     WINDOWED,
     Measurement,
+    hold_out,
     sensor_measurement,
-    withheld,
 )
 from insdvl_replay.nav.timeline import FIRST_OTHER, NO_GAPS, Gaps
 from insdvl_replay.preparation.gaps import lever_arm_velocity_cov
@@ -158,11 +158,11 @@ class ResolvedFilter:
             else:
                 found.append(replace(sensors[word], gate=self.gate(sensors[word].size)))
         held_out = (replace(sensors[word], name=f"{WITHHELD}{sensors[word].name}") for word in self.withheld)
-        return (*found, *map(withheld, held_out))
+        return (*found, *map(hold_out, held_out))
 
     def _velocity_cov(self, velocities: DvlVelocities) -> Floats:
         """Return the covariance of each ping's velocity, shape (m, 3, 3), m^2/s^2."""
-        return velocity_cov(velocities, self.dvl_noise.sd_mps, of_one_beam=self.dvl_noise.key == "beam_sd_mps")
+        return velocity_cov(velocities, self.dvl_noise.sd_mps, for_one_beam=self.dvl_noise.key == "beam_sd_mps")
 
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:

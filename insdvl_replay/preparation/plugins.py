@@ -25,17 +25,17 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.measurements import OWN, Measurement, sensor_measurement
+from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER
 from insdvl_replay.nav.user_measurement import (
     INS_SIZE,
-    OwnMeasurement,
-    OwnReadings,
     Predict,
+    UserMeasurement,
+    UserReadings,
     checked_readings,
     compiled_prediction,
     joined,
-    load_own_measurement,
+    load_user_measurement,
 )
 from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
 
@@ -107,7 +107,7 @@ def prepare_own_measurements(
     by_all = joined([predictions[word] for word in order], compiled=False) if len(compiled) < len(order) else None
     for number, word in enumerate(order):
         predict = by_compiled if word in compiled else by_all
-        found[word] = replace(found[word], kind=OWN + number, predict=predict)
+        found[word] = replace(found[word], kind=USER + number, predict=predict)
     uncompiled = [
         Note(
             "own_measurement_plain",
@@ -126,7 +126,7 @@ def prepare_own_measurements(
 
 def _asked(
     word: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
-) -> tuple[OwnMeasurement, OwnReadings]:
+) -> tuple[UserMeasurement, UserReadings]:
     """Ask an object that is made for this call, so that it has kept nothing of another one."""
     given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.withheld
     topics = f"dive.topics has {listed(sorted(given.topics))}" if given.topics else "dive.topics is empty"
@@ -134,16 +134,16 @@ def _asked(
     if held_out:
         hint += f"; the {listed(held_out)} is held out (evaluation.withheld), with all that may be made of it"
     try:
-        own = load_own_measurement(word)
+        own = load_user_measurement(word)
         readings = _called(word, own, "readings(self, dive)", lambda: own.readings(given), hint)
-        if not isinstance(readings, OwnReadings):
-            raise ConfigError(f"{word}: readings(self, dive) gives {type(readings).__name__}, not OwnReadings", SHOWN)
+        if not isinstance(readings, UserReadings):
+            raise ConfigError(f"{word}: readings(self, dive) gives {type(readings).__name__}, not UserReadings", SHOWN)
         return own, checked_readings(readings)
     except ValueError as error:
         raise ConfigError(f"{word} {error}", f"{SHOWN}; PYTHONPATH names the folder in which it lies") from error
 
 
-def _called(word: str, own: OwnMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
+def _called(word: str, own: UserMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
     """Call code of the user's; what it raises becomes a ConfigError with file and line."""
     try:
         return call()
@@ -157,21 +157,21 @@ def _called(word: str, own: OwnMeasurement, what: str, call: Callable[[], _T], h
         raise ConfigError(f"{word}: {what} fails{line}: {kind}", hint) from error
 
 
-def _measurement(name: str, unit: str, readings: OwnReadings) -> Measurement:
+def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:
     axes = COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else ()
-    return sensor_measurement(name, unit, OWN, readings.time_ns, readings.values, readings.sd, axes=axes)
+    return sensor_measurement(name, unit, USER, readings.time_ns, readings.values, readings.sd, axes=axes)
 
 
-def _inside(readings: OwnReadings, spans: Sequence[tuple[int, int]]) -> OwnReadings:
+def _inside(readings: UserReadings, spans: Sequence[tuple[int, int]]) -> UserReadings:
     """Keep the readings after the start of any of some spans and up to its end."""
     inside = np.any([(readings.time_ns > start) & (readings.time_ns <= end) for start, end in spans], axis=0)
-    return OwnReadings(readings.time_ns[inside], readings.values[inside], readings.sd[inside])
+    return UserReadings(readings.time_ns[inside], readings.values[inside], readings.sd[inside])
 
 
 # --- Predictions.
 
 
-def _uncompiled_prediction(word: str, own: OwnMeasurement, hint: str) -> Predict:
+def _uncompiled_prediction(word: str, own: UserMeasurement, hint: str) -> Predict:
     """Return a prediction that runs as it is; where its arithmetic fails z is no number, as in compiled code."""
     predict = plain(own.predict)
 
@@ -188,7 +188,7 @@ def _uncompiled_prediction(word: str, own: OwnMeasurement, hint: str) -> Predict
 
 
 def _tried_prediction(
-    word: str, own: OwnMeasurement, size: int, filter_: ResolvedFilter, start: Start
+    word: str, own: UserMeasurement, size: int, filter_: ResolvedFilter, start: Start
 ) -> tuple[bool, list[Note]]:
     """Predict a reading once where a filter starts; return whether it measures the velocity down, by half or more.
 
@@ -315,7 +315,7 @@ def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outag
     code that uses later data, or data from before the previous outage.
     """
 
-    def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> OwnReadings:
+    def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> UserReadings:
         readings = _inside(_asked(word, dive, config, outages, end_ns)[1], outages)
         if (size := readings.values.shape[1]) != whole.size:
             raise ConfigError(
@@ -323,7 +323,7 @@ def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outag
             )
         return readings
 
-    def is_same(together: OwnReadings, alone: OwnReadings) -> bool:
+    def is_same(together: UserReadings, alone: UserReadings) -> bool:
         if not np.array_equal(together.time_ns, alone.time_ns):
             return False
         pairs = (together.values, alone.values), (together.sd, alone.sd)
@@ -335,7 +335,7 @@ def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outag
     if readings is None or not all(is_same(_inside(readings, [outage]), alone(outage)) for outage in compared):
         parts = [alone(outage) for outage in outages]
         columns = ([getattr(part, name) for part in parts] for name in ("time_ns", "values", "sd"))
-        readings = OwnReadings(*map(np.concatenate, columns))
+        readings = UserReadings(*map(np.concatenate, columns))
     measurement = _measurement(whole.name, whole.unit, readings)
     return replace(
         measurement, kind=whole.kind, sensor=whole.sensor, predict=whole.predict, holds_height=whole.holds_height

@@ -36,7 +36,7 @@ from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.dvl import parity_innovations
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
-from insdvl_replay.nav.outage import coast
+from insdvl_replay.nav.outage import run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.plugins import in_outages
@@ -244,7 +244,7 @@ def coasting_of(
         for windows, sensors, line in groups:
             aiding = filter_.measurements(*measured, sensors, prepared.beams)
             run_on = partial(
-                coast, history, line, noise_density=filter_.noise_density,
+                run_outage, history, line, noise_density=filter_.noise_density,
                 measurements=(velocity, *(measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)),
                 lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
                 heading_bias_rate_hz=filter_.heading_bias_rate_hz,

@@ -239,14 +239,14 @@ def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tm
 OWN = """
 import numpy as np
 
-from insdvl_replay import OwnMeasurement, OwnReadings
+from insdvl_replay import UserMeasurement, UserReadings
 
 
-class Down(OwnMeasurement):
+class Down(UserMeasurement):
     name, unit = "down", "m/s"
 
     def readings(self, dive):
-        return OwnReadings(dive.reference.time_ns, dive.reference.velocity_n[:, 2:], np.array([SD]))
+        return UserReadings(dive.reference.time_ns, dive.reference.velocity_n[:, 2:], np.array([SD]))
 
     @staticmethod
     def predict(ins, z, H):

@@ -18,7 +18,7 @@ from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.nav.dvl import DvlBeams, beam_measurements
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.outage import coast, restart
+from insdvl_replay.nav.outage import restart, run_outage
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.run import coasting_of, coasting_plan, prepared_timeline, run_filters, run_one
@@ -53,7 +53,7 @@ class Flight:
     ) -> OutageRun:
         """OutageRun with some part of all this in error."""
         return outage_run(
-            coast(
+            run_outage(
                 history or self.history,
                 timeline or self.timeline,
                 (int(self.ping_ns[FROM]), int(self.ping_ns[TO])),
@@ -218,7 +218,7 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     history = run_one(filter_, start, timeline, cov_ns=ping_ns)
     (velocity,) = replace(filter_, aiding=("velocity",)).measurements(start.velocities, start.mounting)
     window_ns = int(ping_ns[first]), int(ping_ns[last])
-    coasted = coast(
+    coasted = run_outage(
         history, timeline, window_ns, noise_density=filter_.noise_density, measurements=(velocity,),
         lever_arm_b=start.mounting.lever_arm_b,
     )  # fmt: skip

@@ -9,7 +9,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import matrix, vector
-from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.kalman import correct, keep_invariant_error
 from insdvl_replay.nav.strapdown import NavState
@@ -68,7 +68,7 @@ def test_an_error_that_is_estimated_as_it_is_vanishes_whatever_its_size(degrees:
     off_n = turned(phi) @ true_n + xi
     dx = np.concatenate([xi - np.cross(off_n, phi), phi, np.zeros(6)])
     state = NavState((0.57, 0.6, -20.0), vector(off_n), matrix(turned(phi) @ true_nb), NOTHING, NOTHING)
-    corrected = correct(state, np.empty(0), random_cov(6), dx, TWELVE_STATES, place_at(*state.position[::2]))
+    corrected = correct(state, np.empty(0), random_cov(6), dx, TWELVE_STATES, local_earth_at(*state.position[::2]))
     np.testing.assert_allclose(corrected.velocity_n, true_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, true_nb, rtol=0.0, atol=1e-15)
 
@@ -80,7 +80,7 @@ def test_estimated_errors_are_taken_out_of_the_state() -> None:
     dx = 0.03 * np.random.default_rng(5).normal(size=12)
     expected_cov = P.copy()
     expected_n = turned(dx[PHI]).T @ (VELOCITY_N - dx[DV] - np.cross(VELOCITY_N, dx[PHI]))
-    corrected = correct(state, np.empty(0), P, dx, TWELVE_STATES, place_at(*state.position[::2]))
+    corrected = correct(state, np.empty(0), P, dx, TWELVE_STATES, local_earth_at(*state.position[::2]))
     keep_invariant_error(expected_cov, vector(VELOCITY_N - corrected.velocity_n))
     np.testing.assert_array_equal(P, expected_cov)
     assert corrected.position == state.position

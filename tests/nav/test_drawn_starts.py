@@ -9,10 +9,10 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.evaluation.errors import motion_error
 from insdvl_replay.nav.algebra import matrix, vector
-from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.kalman import correct
-from insdvl_replay.nav.levelling import Start, drawn_starts, erring
+from insdvl_replay.nav.levelling import Start, drawn_starts, start_with_error
 from insdvl_replay.nav.strapdown import NavState
 
 SD = np.repeat([0.1, 0.01, 0.05, 5e-5], 3)
@@ -86,7 +86,7 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
     error = np.concatenate(
         [[4.0, -3.0, 0.5], np.deg2rad(degrees) * np.array([0.48, 0.6, 0.64]), np.full(3, 0.05), np.full(3, -1e-4)]
     )
-    off = erring(start, error)
+    off = start_with_error(start, error)
     state = NavState(
         vector(off.position),
         vector(off.velocity_n),
@@ -94,7 +94,7 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
         vector(off.accel_bias_b),
         vector(off.gyro_bias_b),
     )
-    corrected = correct(state, np.empty(0), start.cov.copy(), error, layout_of(()), place_at(*off.position[::2]))
+    corrected = correct(state, np.empty(0), start.cov.copy(), error, layout_of(()), local_earth_at(*off.position[::2]))
     np.testing.assert_allclose(corrected.velocity_n, start.velocity_n, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(corrected.mat_nb, start.mat_nb, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(corrected.accel_bias_b, start.accel_bias_b, rtol=0.0, atol=1e-16)
@@ -103,6 +103,6 @@ def test_a_correction_takes_out_what_was_drawn(degrees: float) -> None:
 
 def test_error_states_are_those_of_the_reference() -> None:
     start, error = start_with(np.diag(SD**2)), np.arange(1.0, 13.0) * SD
-    found = errors_of((erring(start, error),), start)[0]
+    found = errors_of((start_with_error(start, error),), start)[0]
     for part in (DV, PHI, BA, BG):
         np.testing.assert_allclose(found[part], error[part], rtol=1e-9)

@@ -9,7 +9,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import matrix, vector
-from insdvl_replay.nav.error_model import error_rate, noise_density, propagate_cov, propagate_errors
+from insdvl_replay.nav.error_model import error_rate, noise_density, over, propagate_cov, propagate_errors
 from insdvl_replay.nav.strapdown import Motion
 
 LATITUDE, HEIGHT_M = 0.57, -20.0
@@ -86,7 +86,7 @@ def test_the_gyro_output_in_place_of_earth_rate_would_be_found() -> None:
 def test_errors_grow_as_the_matrices_say() -> None:
     dx, dt = np.random.default_rng(4).normal(size=(12, 12)), 0.01
     expected = (np.eye(12) + system_matrix() * dt) @ dx
-    propagate_errors(dx.ravel(), motion(), dt)
+    propagate_errors(dx.ravel(), (0.0,) * 12, over(motion(), dt))
     np.testing.assert_allclose(dx, expected, rtol=1e-13)
 
 

@@ -9,8 +9,8 @@ from insdvl_replay.nav.earth_model import (
     REACH_RAD,
     curvatures,
     gravity_at,
-    place_about,
-    place_at,
+    local_earth_at,
+    local_earth_near,
     transport_curvature,
     transport_rate_n,
 )
@@ -25,8 +25,8 @@ def test_at_the_edge_of_its_reach_a_place_is_off_by_no_more_than_it_says(
     latitude: float, to_north: float, up_m: float
 ) -> None:
     there, height_m = latitude + 0.999 * to_north, -20.0 + 0.999 * up_m
-    kept = place_at(latitude, -20.0)
-    assert place_about((there, 0.0, height_m), kept) == kept
+    kept = local_earth_at(latitude, -20.0)
+    assert local_earth_near((there, 0.0, height_m), kept) == kept
     assert gravity_at(kept, height_m) == pytest.approx(normal_gravity(there, height_m), abs=7e-9)
     earth_rate = EARTH_RATE * np.array([np.cos(there), 0.0, -np.sin(there)])
     np.testing.assert_allclose(kept.rate_ie_n, earth_rate, rtol=0.0, atol=8e-12)
@@ -38,7 +38,7 @@ def test_at_the_edge_of_its_reach_a_place_is_off_by_no_more_than_it_says(
 
 @pytest.mark.parametrize("latitude", LATITUDES)
 def test_turn_of_the_frame_is_that_of_the_place(latitude: float) -> None:
-    north, east, down = transport_rate_n(transport_curvature(place_at(latitude, -20.0), -20.0), (1.2, -0.7, 0.3))
+    north, east, down = transport_rate_n(transport_curvature(local_earth_at(latitude, -20.0), -20.0), (1.2, -0.7, 0.3))
     east_radius_m = transverse_radius_m(latitude) - 20.0
     assert north == pytest.approx(-0.7 / east_radius_m, rel=1e-14)
     assert east == pytest.approx(-1.2 / (meridian_radius_m(latitude) - 20.0), rel=1e-14)
@@ -48,4 +48,4 @@ def test_turn_of_the_frame_is_that_of_the_place(latitude: float) -> None:
 @pytest.mark.parametrize(("to_north", "up_m"), [(1.001 * REACH_RAD, 0.0), (0.0, -1.001 * REACH_M)])
 def test_reach_ends_where_it_says(to_north: float, up_m: float) -> None:
     there, height_m = 0.57 + to_north, -20.0 + up_m
-    assert place_about((there, 0.0, height_m), place_at(0.57, -20.0)) == place_at(there, height_m)
+    assert local_earth_near((there, 0.0, height_m), local_earth_at(0.57, -20.0)) == local_earth_at(there, height_m)

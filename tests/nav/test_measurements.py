@@ -12,7 +12,7 @@ from insdvl_replay.geometry.frames import beam_vectors, solve_beams
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import matrix, rotate_back, vector
 from insdvl_replay.nav.dvl import DvlVelocities, acceleration_measurement, velocity_cov, velocity_measurement
-from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.measurements import (
     NEVER_REOPENED,
@@ -64,7 +64,7 @@ def at_ping(dx: Floats) -> InsAtPing:
         np.zeros((1, 3)),
         GRAVITY,
         vector(ARM_B),
-        place_at(*POSITION[::2]),
+        local_earth_at(*POSITION[::2]),
         vector(RATE_NB_B + dx[9:12]),
         np.empty(0),
     )
@@ -112,7 +112,7 @@ class Ins:
         mat_nb = matrix(Rotation.from_rotvec(self.dx[3:6]).as_matrix() @ MAT_NB)
         too_much = vector(-self.dx[6:9]), vector(-self.dx[9:12])
         state = NavState(POSITION, vector(VELOCITY_N + self.dx[:3]), mat_nb, *too_much)
-        place = place_at(state.position[0], state.position[2])
+        place = local_earth_at(state.position[0], state.position[2])
         found = [rotate_back(state.mat_nb, state.velocity_n)]
         for length_s in np.diff(times_s):
             for _ in range(round(length_s * rate_hz)):
@@ -162,7 +162,7 @@ def test_velocity_noise_is_isotropic_with_all_beams_and_worse_with_three() -> No
     full, three = velocity_cov(velocities, 0.02)
     np.testing.assert_allclose(full, 0.02**2 * np.eye(3), atol=1e-12)
     assert (np.linalg.eigvalsh(three) >= 0.02**2 * (1 - 1e-9)).all()
-    np.testing.assert_allclose(velocity_cov(velocities, 0.01, of_one_beam=True), 0.01**2 * shape)
+    np.testing.assert_allclose(velocity_cov(velocities, 0.01, for_one_beam=True), 0.01**2 * shape)
 
 
 def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:

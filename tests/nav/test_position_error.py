@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import meridian_radius_m, normal_gravity
 from insdvl_replay.nav.algebra import matrix, vector
-from insdvl_replay.nav.earth_model import gravity_at, place_at
+from insdvl_replay.nav.earth_model import gravity_at, local_earth_at
 from insdvl_replay.nav.error_model import offset_n, position_growth, propagate_position_cov, without_error
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 
@@ -22,9 +22,9 @@ STEP_S = 1e-3
 
 def moved_on(dp_n: Floats) -> tuple[NavState, Motion]:
     """One step of the mechanisation from a position that is off by ``dp_n``, m."""
-    here = place_at(POSITION[0], POSITION[2])
+    here = local_earth_at(POSITION[0], POSITION[2])
     position = without_error(POSITION, vector(-dp_n), here)
-    place = place_at(position[0], position[2])
+    place = local_earth_at(position[0], position[2])
     state = NavState(position, vector(VELOCITY_N), matrix(MAT_NB), STILL, STILL)
     return propagate(state, FORCE_B, RATE_B, STEP_S, place, gravity_at(place, position[2]))
 
@@ -33,7 +33,7 @@ def error_after(dp_n: Floats) -> Floats:
     """How far position, velocity and attitude are off after the step, relative to that from the right position."""
     (true, _), (state, _) = moved_on(np.zeros(3)), moved_on(dp_n)
     turn = Rotation.from_matrix(np.array(state.mat_nb) @ np.array(true.mat_nb).T).as_rotvec()
-    apart_n = offset_n(state.position, true.position, place_at(true.position[0], true.position[2]))
+    apart_n = offset_n(state.position, true.position, local_earth_at(true.position[0], true.position[2]))
     return np.concatenate([apart_n, np.subtract(state.velocity_n, true.velocity_n), turn])
 
 
@@ -46,7 +46,7 @@ def gravity_by_north() -> float:
 
 def test_growth_is_the_jacobian_of_the_mechanisation() -> None:
     state, motion = moved_on(np.zeros(3))
-    growth = position_growth(state, motion, place_at(POSITION[0], POSITION[2]), STEP_S)
+    growth = position_growth(state, motion, local_earth_at(POSITION[0], POSITION[2]), STEP_S)
     step_m = 1e4  # rates of 1e-12 an s and a metre need long ways to show
 
     def rates(dp_n: Floats) -> Floats:
@@ -63,12 +63,12 @@ def test_growth_is_the_jacobian_of_the_mechanisation() -> None:
 def test_vertical_channel_runs_away_as_gravity_falls() -> None:
     """2 g / R drives the height away, e-fold in 570 s."""
     state, motion = moved_on(np.zeros(3))
-    growth = position_growth(state, motion, place_at(POSITION[0], POSITION[2]), 1.0)
+    growth = position_growth(state, motion, local_earth_at(POSITION[0], POSITION[2]), 1.0)
     assert 1.0 / np.sqrt(growth.to_velocity[2][2]) == pytest.approx(570.0, rel=0.01)
 
 
 def test_an_error_taken_off_is_gone() -> None:
-    place = place_at(POSITION[0], POSITION[2])
+    place = local_earth_at(POSITION[0], POSITION[2])
     error_n = (30.0, -20.0, 4.0)
     off = without_error(POSITION, vector(-np.array(error_n)), place)
     np.testing.assert_allclose(offset_n(off, POSITION, place), error_n, rtol=1e-6)
@@ -80,7 +80,7 @@ def test_covariance_is_propagated_as_the_matrices_say() -> None:
     root = np.random.default_rng(3).normal(size=(n, n))
     P = root @ root.T
     state, motion = moved_on(np.zeros(3))
-    growth = position_growth(state, motion, place_at(POSITION[0], POSITION[2]), dt)
+    growth = position_growth(state, motion, local_earth_at(POSITION[0], POSITION[2]), dt)
     Phi = np.eye(n)
     Phi[first : first + 3, :3] += dt * np.eye(3)
     Phi[first : first + 3, first : first + 3] += growth.within

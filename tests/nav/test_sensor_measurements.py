@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.nav.algebra import matrix, vector
-from insdvl_replay.nav.earth_model import place_at
+from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of, without_error
 from insdvl_replay.nav.measurements import (
     BEAM,
@@ -34,7 +34,7 @@ SCALE, YAW, BIAS = 0.03, 0.2, 0.1
 
 def ins_off_by(dx: Floats) -> InsAtPing:
     """An INS whose errors are dx: estimated minus true."""
-    place, nothing = place_at(POSITION[0], POSITION[2]), np.zeros((1, 3))
+    place, nothing = local_earth_at(POSITION[0], POSITION[2]), np.zeros((1, 3))
     return InsAtPing(
         without_error(POSITION, vector(-dx[12:15]), place),
         vector(VELOCITY_N + dx[:3]),

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.earth import EARTH_RATE, meridian_radius_m, normal_gravity, transverse_radius_m
 from insdvl_replay.nav.algebra import add, matrix, vector
-from insdvl_replay.nav.earth_model import gravity_at, place_about, place_at
+from insdvl_replay.nav.earth_model import gravity_at, local_earth_at, local_earth_near
 from insdvl_replay.nav.strapdown import NavState, propagate
 
 START = np.array([0.57, 0.61, -20.0, 1.1, -0.4, 0.2])
@@ -44,12 +44,12 @@ def derivative(t: float, state: Floats, motion: Motion) -> Floats:
 
 def mechanised(motion: Motion, mat: Floats, rate_hz: float, duration_s: float) -> tuple[Floats, Floats, Floats]:
     state = NavState(vector(START[:3]), vector(START[3:]), matrix(mat), NOTHING, NOTHING)
-    place = place_at(state.position[0], state.position[2])
+    place = local_earth_at(state.position[0], state.position[2])
     time_s = np.arange(int(duration_s * rate_hz) + 1) / rate_hz
     for before, after in pairwise(time_s):
         force = 0.5 * (motion.force_b(before) + motion.force_b(after))
         rate = 0.5 * (motion.rate_b(before) + motion.rate_b(after))
-        place = place_about(state.position, place)
+        place = local_earth_near(state.position, place)
         state, _ = propagate(
             state, vector(force), vector(rate), after - before, place, gravity_at(place, state.position[2])
         )
@@ -81,7 +81,7 @@ def test_a_resting_imu_with_known_biases_stays_at_rest() -> None:
     gravity = normal_gravity(latitude, 0.0)
     state = NavState((latitude, 0.0, 0.0), NOTHING, matrix(np.eye(3)), FORCE_TOO_LARGE_BY, RATE_TOO_LARGE_BY)
     rate = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
-    place = place_at(latitude, 0.0)
+    place = local_earth_at(latitude, 0.0)
     for _ in range(10_000):
         force_read, rate_read = add((0.0, 0.0, -gravity), state.accel_bias_b), add(vector(rate), state.gyro_bias_b)
         state, _ = propagate(state, force_read, rate_read, 0.01, place, gravity_at(place, 0.0))

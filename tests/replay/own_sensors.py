@@ -7,24 +7,24 @@ import numba
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
+from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 
 SD_MPS = 0.02
 NORTH_M, EAST_M = 6_354_134.0, 5_366_506.0
 """Metres of a radian of latitude and of longitude, at 32.8 deg north."""
 
 
-class Speed(OwnMeasurement):
+class Speed(UserMeasurement):
     """The speed over ground, as a log would measure it."""
 
     name, unit = "speed", "m/s"
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take it from the exact motion, with noise."""
         assert dive.reference is not None
         speed = np.linalg.norm(dive.reference.velocity_n, axis=1)
         noise = SD_MPS * np.random.default_rng(3).standard_normal(len(speed))
-        return OwnReadings(dive.reference.time_ns, (speed + noise)[:, None], np.array([SD_MPS]))
+        return UserReadings(dive.reference.time_ns, (speed + noise)[:, None], np.array([SD_MPS]))
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -44,15 +44,15 @@ BEACON = (math.radians(32.801), math.radians(34.903), -60.0)
 RANGE_SD_M = 0.5
 
 
-class Range(OwnMeasurement):
+class Range(UserMeasurement):
     """How far a beacon on the seabed is, by a topic of the log."""
 
     name, unit = "range", "m"
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take the numbers of the topic."""
         beacon = dive.topics["beacon"]
-        return OwnReadings(beacon.time_ns, beacon.values, np.array([RANGE_SD_M]))
+        return UserReadings(beacon.time_ns, beacon.values, np.array([RANGE_SD_M]))
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -87,15 +87,15 @@ class ImportingSpeed(Speed):
         H[0, :3] = ins[3:6] / z[0]
 
 
-class Deep(OwnMeasurement):
+class Deep(UserMeasurement):
     """What the tool has as ``depth``, with a zero that is known."""
 
     name, unit = "deep", "m"
     sd = 0.05
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take those of the pressure gauge."""
-        return OwnReadings(dive.sensors["depth"].time_ns, dive.sensors["depth"].values, np.array([self.sd]))
+        return UserReadings(dive.sensors["depth"].time_ns, dive.sensors["depth"].values, np.array([self.sd]))
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -103,15 +103,15 @@ class Deep(OwnMeasurement):
         z[0], H[0, 14] = -ins[2], 1.0
 
 
-class Bow(OwnMeasurement):
+class Bow(UserMeasurement):
     """What the tool has as ``heading``, of a vehicle that does not point south."""
 
     name, unit = "bow", "rad"
     sd = math.radians(1.0)
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take those of the compass."""
-        return OwnReadings(dive.sensors["heading"].time_ns, dive.sensors["heading"].values, np.array([self.sd]))
+        return UserReadings(dive.sensors["heading"].time_ns, dive.sensors["heading"].values, np.array([self.sd]))
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -136,10 +136,10 @@ class DeepTwice(Deep):
 
     name, unit = "deep_twice", "m"
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Say the depth twice."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns, np.repeat(found.values, 2, axis=1), found.sd)
+        return UserReadings(found.time_ns, np.repeat(found.values, 2, axis=1), found.sd)
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -164,7 +164,7 @@ class BuiltIn(Speed):
     name = "depth"
 
 
-class Three(OwnMeasurement):
+class Three(UserMeasurement):
     """A word that would be an axis."""
 
     name, unit = "three_x", "m"
@@ -173,19 +173,19 @@ class Three(OwnMeasurement):
 class Late(Speed):
     """Readings of another day."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Shift the times."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns + 86_400_000_000_000, found.values, found.sd)
+        return UserReadings(found.time_ns + 86_400_000_000_000, found.values, found.sd)
 
 
 class Flat(Speed):
     """Readings without their second axis."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Flatten them."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns, found.values[:, 0], found.sd)
+        return UserReadings(found.time_ns, found.values[:, 0], found.sd)
 
 
 NOT_A_CLASS = 3
@@ -196,20 +196,20 @@ class Silent(Speed):
 
     name = "paddle_wheel"
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Keep the first minute."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns[:300], found.values[:300], found.sd)
+        return UserReadings(found.time_ns[:300], found.values[:300], found.sd)
 
 
-class NoPrediction(OwnMeasurement):
+class NoPrediction(UserMeasurement):
     """A class that forgot its prediction, which compiled code would not tell."""
 
     name, unit = "forgotten", "m/s"
     readings = Speed.readings
 
 
-class NoReadings(OwnMeasurement):
+class NoReadings(UserMeasurement):
     """A class that forgot its readings."""
 
     name, unit = "forgotten", "m/s"
@@ -234,15 +234,15 @@ class WithArguments(Speed):
 class OtherTopic(Speed):
     """The name of a topic misspelt."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Ask for what is not there."""
-        return OwnReadings(dive.topics["sped"].time_ns, dive.topics["sped"].values, np.array([SD_MPS]))
+        return UserReadings(dive.topics["sped"].time_ns, dive.topics["sped"].values, np.array([SD_MPS]))
 
 
 class NoNumbers(Speed):
     """Readings of which two are none."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Spoil two."""
         found = super().readings(dive)
         found.values[[7, 9]] = np.nan
@@ -252,7 +252,7 @@ class NoNumbers(Speed):
 class Unreturned(Speed):
     """Readings that are not returned."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Forget them."""
         return None  # type: ignore[return-value]
 
@@ -260,7 +260,7 @@ class Unreturned(Speed):
 class Leaving(Speed):
     """Readings that leave the program."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Leave as scripts do."""
         sys.exit("no file of ranges")
 
@@ -268,10 +268,10 @@ class Leaving(Speed):
 class Six(Speed):
     """Readings of more components than a filter takes."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Repeat them."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns, np.repeat(found.values, 6, axis=1), np.repeat(found.sd, 6))
+        return UserReadings(found.time_ns, np.repeat(found.values, 6, axis=1), np.repeat(found.sd, 6))
 
 
 class Misspelt(Speed):

@@ -15,8 +15,8 @@ from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.logs.writing.dive_log import write_dive
-from insdvl_replay.nav.measurements import OWN, Measurement, sensor_measurement
-from insdvl_replay.nav.user_measurement import OwnMeasurement, OwnReadings
+from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
+from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.preparation.plugins import given_dive, in_outages
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive
@@ -37,16 +37,16 @@ def velocities(dive: Dive) -> Floats:
     return solved
 
 
-class Copy(OwnMeasurement):
+class Copy(UserMeasurement):
     """The DVL's velocities as they are, with the prediction and the noise that the tool has for them."""
 
     name, unit = "copy", "m/s"
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take them from the pings."""
         next(type(self).dives)
-        return OwnReadings(dive.dvl.time_ns, velocities(dive), np.full(3, SD_MPS))
+        return UserReadings(dive.dvl.time_ns, velocities(dive), np.full(3, SD_MPS))
 
     @staticmethod
     def predict(ins: Floats, z: Floats, H: Floats) -> None:
@@ -131,12 +131,12 @@ class Held(Copy):
 
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Look back."""
         next(type(self).dives)
         time_ns = np.arange(dive.dvl.time_ns[0], dive.imu.time_ns[-1], NS_PER_S // 10)
         row = np.searchsorted(dive.dvl.time_ns, time_ns, side="right") - 1
-        return OwnReadings(time_ns, velocities(dive)[row], np.full(3, SD_MPS))
+        return UserReadings(time_ns, velocities(dive)[row], np.full(3, SD_MPS))
 
 
 class Smoothed(Held):
@@ -144,12 +144,12 @@ class Smoothed(Held):
 
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Look back a bit further, and be the less sure the older that is."""
         held = super().readings(dive)
         mean = np.stack([held.values[max(0, row - 8) : row + 1].mean(axis=0) for row in range(len(held.values))])
         last_ns = dive.dvl.time_ns[np.searchsorted(dive.dvl.time_ns, held.time_ns, side="right") - 1]
-        return OwnReadings(held.time_ns, mean, SD_MPS + 0.1 * seconds(held.time_ns, last_ns)[:, None] * np.ones(3))
+        return UserReadings(held.time_ns, mean, SD_MPS + 0.1 * seconds(held.time_ns, last_ns)[:, None] * np.ones(3))
 
 
 class Interpolated(Copy):
@@ -157,13 +157,13 @@ class Interpolated(Copy):
 
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Look ahead."""
         next(type(self).dives)
         time_ns = np.arange(dive.dvl.time_ns[0], dive.imu.time_ns[-1], NS_PER_S // 10)
         at_s, ping_s = (seconds(times, dive.dvl.time_ns[0]) for times in (time_ns, dive.dvl.time_ns))
         columns = [np.interp(at_s, ping_s, column) for column in velocities(dive).T]
-        return OwnReadings(time_ns, np.column_stack(columns), np.full(3, SD_MPS))
+        return UserReadings(time_ns, np.column_stack(columns), np.full(3, SD_MPS))
 
 
 class Bridged(Interpolated):
@@ -171,13 +171,13 @@ class Bridged(Interpolated):
 
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Look ahead, but not far."""
         found = super().readings(dive)
         after = np.searchsorted(dive.dvl.time_ns, found.time_ns).clip(1, len(dive.dvl.time_ns) - 1)
         near = dive.dvl.time_ns[after] - dive.dvl.time_ns[after - 1] < 1.5 * NS_PER_S
         near &= found.time_ns <= dive.dvl.time_ns[-1]
-        return OwnReadings(found.time_ns[near], found.values[near], found.sd)
+        return UserReadings(found.time_ns[near], found.values[near], found.sd)
 
 
 class Remembering(Copy):
@@ -185,14 +185,14 @@ class Remembering(Copy):
 
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Look back to the start."""
         next(type(self).dives)
         values = velocities(dive)
         mean = np.cumsum(values, axis=0) / np.arange(1, len(values) + 1)[:, None]
         time_ns = np.arange(dive.dvl.time_ns[0], dive.imu.time_ns[-1], NS_PER_S // 10)
         row = np.searchsorted(dive.dvl.time_ns, time_ns, side="right") - 1
-        return OwnReadings(time_ns, mean[row], np.full(3, SD_MPS))
+        return UserReadings(time_ns, mean[row], np.full(3, SD_MPS))
 
 
 class Caching(Held):
@@ -200,7 +200,7 @@ class Caching(Held):
 
     dives = count()
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Make them the first time."""
         if not hasattr(self, "made"):
             self.made = super().readings(dive)
@@ -209,11 +209,11 @@ class Caching(Held):
 
 def measured_in_outages(word: str, dive: Dive, config: Config) -> Iterator[tuple[tuple[int, int], Measurement]]:
     """Yield each outage with the readings of all of its group."""
-    whole = sensor_measurement("copy", "m/s", OWN + 3, np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(3), axes="xyz")  # type: ignore[arg-type]
+    whole = sensor_measurement("copy", "m/s", USER + 3, np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(3), axes="xyz")  # type: ignore[arg-type]
     whole = replace(whole, sensor=7, holds_height=True)
     for outages, sensors in in_outages(dive, config, {word: whole}, outages_of(dive)):
         found = sensors[word]
-        assert (found.kind, found.sensor, found.holds_height) == (OWN + 3, 7, True)
+        assert (found.kind, found.sensor, found.holds_height) == (USER + 3, 7, True)
         yield from ((outage, found) for outage in outages)
 
 
@@ -253,7 +253,7 @@ def test_readings_in_an_outage_are_those_of_a_dive_that_ends_with_it(
 class Failing(Copy):
     """A class that cannot do without pings."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Ask for one in every second."""
         if np.diff(dive.dvl.time_ns, append=dive.imu.time_ns[-1]).max() > 0.9 * NS_PER_S:
             raise ValueError("too long a pause")
@@ -263,10 +263,10 @@ class Failing(Copy):
 class Narrow(Copy):
     """A class whose readings have another shape in an outage."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Give the first component."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns, found.values[:, :1], found.sd[:1])
+        return UserReadings(found.time_ns, found.values[:, :1], found.sd[:1])
 
 
 @pytest.mark.parametrize(
@@ -360,10 +360,10 @@ class OfSensor(Copy):
 
     sensor = "depth"
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take its numbers."""
         columns = dive.sensors[self.sensor]
-        return OwnReadings(columns.time_ns, columns.values, np.ones(1))
+        return UserReadings(columns.time_ns, columns.values, np.ones(1))
 
 
 class OfHeading(OfSensor):

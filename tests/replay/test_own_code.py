@@ -15,7 +15,7 @@ from insdvl_replay.core.config import Config, Evaluation, Filter, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.nav.user_measurement import OwnReadings, checked_readings, load_own_measurement
+from insdvl_replay.nav.user_measurement import UserReadings, checked_readings, load_user_measurement
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -153,10 +153,10 @@ class Deeper(WrongSign):
 class HalfWritten(Deep):
     """Two numbers a reading, of which one is predicted."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Say the depth twice."""
         found = super().readings(dive)
-        return OwnReadings(found.time_ns, np.repeat(found.values, 2, axis=1), found.sd)
+        return UserReadings(found.time_ns, np.repeat(found.values, 2, axis=1), found.sd)
 
 
 def test_warnings_of_all_filters_that_a_class_aids_are_told(dive: Dive) -> None:
@@ -182,10 +182,10 @@ def test_a_component_that_is_not_predicted_is_told(dive: Dive) -> None:
 class OfSolution(Speed):
     """The speed that the vehicle says of itself."""
 
-    def readings(self, dive: Dive) -> OwnReadings:
+    def readings(self, dive: Dive) -> UserReadings:
         """Take that of the solution."""
         motion = dive.solutions["onboard"].motion
-        return OwnReadings(motion.time_ns, np.linalg.norm(motion.velocity_n, axis=1)[:, None], np.array([0.1]))
+        return UserReadings(motion.time_ns, np.linalg.norm(motion.velocity_n, axis=1)[:, None], np.array([0.1]))
 
 
 def test_readings_may_be_made_of_a_solution_of_the_dive(dive: Dive) -> None:
@@ -220,7 +220,7 @@ def test_readings_may_be_made_of_a_solution_of_the_dive(dive: Dive) -> None:
     ],
 )
 def test_readings_that_are_none_are_told(given: dict[str, Any], reason: str) -> None:
-    readings = OwnReadings(**({"time_ns": np.arange(3), "values": np.ones((3, 1)), "sd": np.array([0.1])} | given))
+    readings = UserReadings(**({"time_ns": np.arange(3), "values": np.ones((3, 1)), "sd": np.array([0.1])} | given))
     with pytest.raises(ValueError, match=reason):
         checked_readings(readings)
 
@@ -270,4 +270,4 @@ class Withheld(Speed):
 )
 def test_names_that_cannot_be_are_told(word: str, named: str) -> None:
     with pytest.raises(ValueError, match=named):
-        load_own_measurement(f"{HERE}:{word}")
+        load_user_measurement(f"{HERE}:{word}")

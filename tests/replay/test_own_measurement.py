@@ -71,7 +71,7 @@ def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
         ("own_sensors:NoReadings", r"readings\(self, dive\)"),
         ("own_sensors:WithArguments", "'sd'"),
         ("own_sensors:OtherTopic", r"readings\(self, dive\) .*\d+ .*own_sensors.py: KeyError: 'sped'"),
-        ("own_sensors:Unreturned", "NoneType.* OwnReadings"),
+        ("own_sensors:Unreturned", "NoneType.* UserReadings"),
         ("own_sensors:NoNumbers", "2 of 101 .*7"),
         ("own_sensors:Misspelt", r"predict\(ins, z, H\) .*\d+ .*own_sensors.py: NameError"),
     ],

@@ -204,7 +204,7 @@ def test_latex_is_balanced() -> None:
 
 
 def test_public_names_are_these() -> None:
-    own = {"OwnMeasurement", "OwnReadings"}
+    own = {"UserMeasurement", "UserReadings"}
     assert set(insdvl_replay.__all__) == {"Result", "__version__", "load_config", "read_result", "replay_log"} | own
     assert all(getattr(insdvl_replay, name) for name in insdvl_replay.__all__)
     with pytest.raises(AttributeError, match="'replays'"):
