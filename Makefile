@@ -23,7 +23,7 @@ test: .venv/test.stamp
 nightly: .venv/test.stamp tests/node/node_modules
 	$(BIN)/insdvl-replay compile
 	$(PYTEST) -m nightly
-	$(MAKE) judge calibration
+	$(MAKE) --jobs 2 --output-sync=target judge calibration
 	$(BIN)/python tests/attacks/attack.py all --short --count 60
 
 # What the commands say of twelve dives, stored anew; git tells what has moved.

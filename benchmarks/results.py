@@ -1,5 +1,6 @@
 """The page of results: one part for each benchmark, each written anew by its own."""
 
+import fcntl
 import platform
 import re
 import subprocess
@@ -36,8 +37,11 @@ def write_part(part: str) -> None:
     part : str
         Begins with its heading, ``# Title``.
     """
-    text = RESULTS.read_text("utf-8") if RESULTS.exists() else ""
-    parts = re.split(r"^(?=# )", text, flags=re.MULTILINE)
     heading = part.partition("\n")[0]
-    kept = {older.partition("\n")[0]: older.strip() for older in parts if older.strip()}
-    RESULTS.write_text("\n\n".join({**kept, heading: part.strip()}.values()) + "\n", "utf-8")
+    with RESULTS.open("a+", encoding="utf-8") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # two benchmarks may write at the same time
+        file.seek(0)
+        parts = re.split(r"^(?=# )", file.read(), flags=re.MULTILINE)
+        kept = {older.partition("\n")[0]: older.strip() for older in parts if older.strip()}
+        file.truncate(0)
+        file.write("\n\n".join({**kept, heading: part.strip()}.values()) + "\n")
