@@ -64,7 +64,9 @@ def consistency_table(
     rows = []
     for history, innovations in [(met_by, met) for met_by in histories for met in met_by.innovations]:
         measurement, withheld = innovations.measurement, innovations.is_withheld
-        met = np.isfinite(innovations.nis) | (not _goes_on(history, measurement))
+        # A filter lives on where a user's prediction gives no number: such readings are not used.
+        goes_on = not is_reserved(measurement) and np.isfinite(history.velocity_n[-1]).all()
+        met = np.isfinite(innovations.nis) | (not goes_on)
         standardised, used = innovations.standardised[met], innovations.used[met]
         weighted = innovations.nis[met] * innovations.weight[met]
         in_own_sd, told = np.empty(0), True
@@ -82,7 +84,7 @@ def consistency_table(
             dof, correlation = part.shape[1], autocorrelation(part, used | withheld)
             mean = _Mean()
             if not withheld:
-                mean = _judged(nis, dof, len(nis))
+                mean = _judged(nis, dof)
                 if mean.verdict == Consistency.OVER_CAUTIOUS and measurement in SENSORS and repeats(*correlation):
                     mean = mean._replace(verdict=Consistency.TOO_FEW, why=Reason.ONE_SAMPLE)
             elif told:
@@ -90,9 +92,9 @@ def consistency_table(
                 # error that stays is one sample, and where it happens to be small, or is none at an exact start,
                 # nothing shows that it stays. A filter is over-cautious only where differences are too small for the
                 # noise of the sensor alone.
-                mean, sensor_part = _judged(nis, dof, _independent(part)), in_own_sd[:, components]
+                mean, sensor_part = _judged(nis, dof, part), in_own_sd[:, components]
                 if mean.verdict == Consistency.OVER_CAUTIOUS:
-                    by_sensor = _judged(np.sum(sensor_part**2, axis=1), dof, _independent(sensor_part))
+                    by_sensor = _judged(np.sum(sensor_part**2, axis=1), dof, sensor_part)
                     if by_sensor.verdict != Consistency.OVER_CAUTIOUS:
                         mean = mean._replace(verdict=Consistency.TOO_FEW, why=Reason.ONE_SAMPLE)
             counts = int(innovations.used.sum()), int(rejected(innovations).sum())
@@ -102,25 +104,20 @@ def consistency_table(
     return rows
 
 
-def _goes_on(history: History, measurement: str) -> bool:
-    """Return whether a filter lives on where a user's prediction gives no number: such readings are not used."""
-    return not is_reserved(measurement) and bool(np.isfinite(history.velocity_n[-1]).all())
+def _judged(nis: Floats, dof: int, components: Floats | None = None) -> _Mean:
+    """Judge a mean NIS; few that are independent prove that it is too large, but not that it is as it should be.
 
-
-def _judged(nis: Floats, dof: int, independent: float) -> _Mean:
-    """Judge a mean NIS; few that are independent prove that it is too large, but not that it is as it should be."""
+    Components in their own standard deviations that repeat themselves count as their independent samples.
+    """
     if len(nis) < FEWEST_UPDATES:
         return _Mean(verdict=Consistency.TOO_FEW)
+    repeated = components is not None and np.isfinite(components).all()
+    independent = samples_in_mean_square(components) if components is not None and repeated else float(len(nis))
     mean_nis, (low, high) = float(nis.mean()), mean_interval(dof, independent)
     word, why = consistency_verdict(mean_nis, low, high, dof)
     if dof * independent < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.OVER_CAUTIOUS):
         word, why = Consistency.TOO_FEW, Reason.NONE
     return _Mean(mean_nis, low, high, word, why)
-
-
-def _independent(components: Floats) -> float:
-    known = len(components) and np.isfinite(components).all()
-    return samples_in_mean_square(components) if known else float(len(components))
 
 
 def rejected(innovations: Innovations) -> NDArray[np.bool_]:
@@ -182,72 +179,72 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     Their aiding had no update, innovations are not finite, gates reject more than outliers, or a sensor contradicts.
     """
     notes: list[Note] = []
+
+    def warn(code: str, text: str, count: int, hint: str) -> None:
+        notes.append(Note(code, text, count, Severity.WARNING, hint))
+
     for history in histories:
+        name = history.filter
+        gate_hint = f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
         for innovations in history.innovations:
-            notes += _notes_on_updates(history, innovations)
+            kind, total = innovations.measurement, len(innovations.used)
+            lost, many = ~np.isfinite(innovations.nis), int(rejected(innovations).sum())
+            if total == 0:
+                hint = f"filters.{name}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
+                warn("aiding_without_updates", f"filter {name} had no {kind} to use", 0, hint)
+            if total == 0 or innovations.is_withheld:
+                continue
+            if lost.any():
+                count = int(lost.sum())
+                are_lost = f"{count} of {total} {kind} innovations are not finite, from number {np.argmax(lost) + 1} on"
+                if not is_reserved(kind) and np.isfinite(history.velocity_n[-1]).all():
+                    text, hint = (
+                        f"filter {name} goes on without some: {are_lost}",
+                        "arithmetic fails in what predicts them",
+                    )
+                    warn("innovations_not_finite", text, count, hint)
+                    continue
+                sizes = "check the units and sizes of [noise], [initial] and what aids it"
+                hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
+                warn("filter_not_finite", f"filter {name} broke down: {are_lost}", count, hint)
+                continue
+            if many > MANY_REJECTED * total:
+                warn(
+                    "gate_rejects_many", f"filter {name} rejected {many} of {total} {kind} innovations", many, gate_hint
+                )
+            # A sensor next to the DVL that says something else than all others: the filter is none the worse for it.
+            # By the median, since readings that are wild are few, and the gate's affair.
+            size = float(np.median(innovations.nis)) / chi_square_quantile(0.5, innovations.dof)
+            if kind in SENSORS and total >= FEWEST_UPDATES and size > CONTRADICTED:
+                text = (
+                    f"filter {name} and its {kind} contradict each other: the median NIS of {kind} is {size:.3g} times "
+                    "what is expected"
+                )
+                hint = f"units, axes, stamp and delay in [{kind}], or a larger sd there"
+                hint += "; evaluation.withheld judges without it"
+                warn(f"{kind}_disagrees", text, total, hint)
+            # Innovations of a heading whose error is slow are small, since the filter follows the error.
+            if kind == "heading" and all(state.id != "heading_bias" for state in history.states):
+                value, limit = autocorrelation(innovations.standardised, innovations.used)
+                if value >= SLOW and repeats(value, limit):
+                    text = (
+                        f"filter {name} follows a slow error of the heading: neighbouring innovations have a "
+                        f"correlation of {value:.2f}, and its heading is less sure than it says"
+                    )
+                    hint = (
+                        f'filters.{name}.states = ["heading_bias"], with heading.bias_sd_deg and bias_time_s; a '
+                        "smaller heading.sd_deg makes it worse"
+                    )
+                    warn("heading_slow_error", text, total, hint)
         if count := len(history.reopened_ns):
             first_ns = min(int(found.time_ns[0]) for found in history.innovations if len(found.time_ns))
             first_s = (int(history.reopened_ns[0]) - first_ns) / NS_PER_S
             text = (
-                f"filter {history.filter} was set to the DVL again after runs of rejected velocities ({count} in all, "
+                f"filter {name} was set to the DVL again after runs of rejected velocities ({count} in all, "
                 f"the first {first_s:.1f} s after the first reading)"
             )
-            notes.append(Note("gate_reopened", text, count, Severity.WARNING, _gate_hint(history.filter)))
+            warn("gate_reopened", text, count, gate_hint)
     return tuple(notes)
-
-
-def _gate_hint(name: str) -> str:
-    return f"check lever arm and mounting, raise [noise], or --set filters.{name}.gate_probability=1.0"
-
-
-def _notes_on_updates(history: History, innovations: Innovations) -> list[Note]:
-    name, kind, total = history.filter, innovations.measurement, len(innovations.used)
-    if total == 0:
-        hint = f"filters.{name}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
-        return [Note("aiding_without_updates", f"filter {name} had no {kind} to use", 0, Severity.WARNING, hint)]
-    if innovations.is_withheld:
-        return []
-    lost = int(np.sum(~np.isfinite(innovations.nis)))
-    if lost:
-        first = int(np.argmax(~np.isfinite(innovations.nis)))
-        are_lost = f"{lost} of {total} {kind} innovations are not finite, from number {first + 1} on"
-        if _goes_on(history, kind):
-            text, hint = f"filter {name} goes on without some: {are_lost}", "arithmetic fails in what predicts them"
-            return [Note("innovations_not_finite", text, lost, Severity.WARNING, hint)]
-        text = f"filter {name} broke down: {are_lost}"
-        sizes = "check the units and sizes of [noise], [initial] and what aids it"
-        hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
-        return [Note("filter_not_finite", text, lost, Severity.WARNING, hint)]
-
-    notes, many = [], int(rejected(innovations).sum())
-    if many > MANY_REJECTED * total:
-        text = f"filter {name} rejected {many} of {total} {kind} innovations"
-        notes.append(Note("gate_rejects_many", text, many, Severity.WARNING, _gate_hint(name)))
-    # A sensor next to the DVL that says something else than all others: the filter is none the worse for it. By the
-    # median, since readings that are wild are few, and the gate's affair.
-    size = float(np.median(innovations.nis)) / chi_square_quantile(0.5, innovations.dof)
-    if kind in SENSORS and total >= FEWEST_UPDATES and size > CONTRADICTED:
-        text = (
-            f"filter {name} and its {kind} contradict each other: the median NIS of {kind} is {size:.3g} times "
-            "what is expected"
-        )
-        hint = f"units, axes, stamp and delay in [{kind}], or a larger sd there; evaluation.withheld judges without it"
-        notes.append(Note(f"{kind}_disagrees", text, total, Severity.WARNING, hint))
-    # Innovations of a heading whose error is slow are small, since the filter follows the error.
-    is_heading = kind == "heading"
-    value, limit = autocorrelation(innovations.standardised, innovations.used) if is_heading else (math.nan, math.nan)
-    is_estimated = any(state.id == "heading_bias" for state in history.states)
-    if not is_estimated and value >= SLOW and repeats(value, limit):
-        text = (
-            f"filter {name} follows a slow error of the heading: neighbouring innovations have a correlation of "
-            f"{value:.2f}, and its heading is less sure than it says"
-        )
-        hint = (
-            f'filters.{name}.states = ["heading_bias"], with heading.bias_sd_deg and bias_time_s; a smaller '
-            "heading.sd_deg makes it worse"
-        )
-        notes.append(Note("heading_slow_error", text, total, Severity.WARNING, hint))
-    return notes
 
 
 def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:

@@ -88,11 +88,22 @@ def measured_convergence(
     at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
     starts = len(before)
 
-    def reached_s(weights: Floats) -> tuple[Floats, Floats]:
-        """Return when both reach the limit, shape (r,), for weights of the starts in r means, shape (r, s)."""
-        baseline_mean_sq = weights @ before
-        limit_sq = limit_of(np.sqrt(baseline_mean_sq[:, -1]), starts) ** 2
-        return _stays_below_s(at_s, baseline_mean_sq, limit_sq), _stays_below_s(at_s, weights @ after, limit_sq)
+    def reached_s(weights: Floats) -> list[Floats]:
+        """Return when both stay below the limit, shape (r,), for weights of the starts in r means, shape (r, s).
+
+        It is 0 at the start and infinite never; between two times the mean squares are on a line.
+        """
+        means_sq, rows = [weights @ before, weights @ after], np.arange(len(weights))
+        limit_sq, found = limit_of(np.sqrt(means_sq[0][:, -1]), starts) ** 2, []
+        for mean_sq in means_sq:
+            above = mean_sq > limit_sq[:, None]
+            last = len(at_s) - 1 - np.argmax(above[:, ::-1], axis=1)
+            following = np.minimum(last + 1, len(at_s) - 1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                share = (mean_sq[rows, last] - limit_sq) / (mean_sq[rows, last] - mean_sq[rows, following])
+                falls_s = at_s[last] + share * (at_s[following] - at_s[last])
+            found.append(np.where(above[:, -1], np.inf, np.where(above[:, 0], falls_s, 0.0)))
+        return found
 
     (baseline_s,), (candidate_s,) = reached_s(np.full((1, starts), 1.0 / starts))
     bounds, p, falls = np.full(4, np.nan), math.nan, _status(baseline_s) == ConvergenceStatus.REACHED
@@ -133,20 +144,6 @@ def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
 def limit_of(rms: Floats, starts: int) -> Floats:
     """Return up to where a filter is as good as an rms over so many starts, which has a standard error of its own."""
     return rms * (1.0 + 1.0 / math.sqrt(2.0 * starts))
-
-
-def _stays_below_s(at_s: Floats, mean_sq: Floats, limit_sq: Floats) -> Floats:
-    """Find from when on mean squares, shape (r, g), stay at or below their limits: 0 at the start, infinite never.
-
-    Between two times they are on a line.
-    """
-    rows, above = np.arange(len(mean_sq)), mean_sq > limit_sq[:, None]
-    last = len(at_s) - 1 - np.argmax(above[:, ::-1], axis=1)
-    following = np.minimum(last + 1, len(at_s) - 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = (mean_sq[rows, last] - limit_sq) / (mean_sq[rows, last] - mean_sq[rows, following])
-        reached_s = at_s[last] + share * (at_s[following] - at_s[last])
-    return np.where(above[:, -1], np.inf, np.where(above[:, 0], reached_s, 0.0))
 
 
 def _status(reached_s: float) -> ConvergenceStatus:

@@ -144,16 +144,6 @@ def shared_variance(cov: Floats, states: States, others: States) -> Floats:
     return share
 
 
-def variance_of_attitude(cov: Floats, states: States) -> float:
-    """Return which share of the variance of some states hangs on the whole attitude; 0 for the attitude itself."""
-    if np.any((states >= PHI.start) & (states < PHI.stop)):
-        return 0.0
-    attitude = np.arange(PHI.start, PHI.stop)
-    between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])
-    both = whitened(np.swapaxes(between, 1, 2), cov[:, PHI, PHI])
-    return float(np.nan_to_num(np.mean(np.sum(both**2, axis=(1, 2))) / len(states)))
-
-
 # --- The table.
 
 
@@ -239,7 +229,12 @@ def _row(named: tuple[str, str, str], errors: StateErrors, states: States, sampl
         # A filter starts on the reference: the misalignment that it allows for is not there, nor is what hangs on it,
         # such as a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are
         # too small are compared with the share of the variance that would be left if the attitude were known.
-        left = FAR_SMALLER * (1.0 - variance_of_attitude(cov, states)) * dof
+        shared, attitude = 0.0, np.arange(PHI.start, PHI.stop)
+        if not np.isin(states, attitude).any():
+            between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])
+            both = whitened(np.swapaxes(between, 1, 2), cov[:, PHI, PHI])
+            shared = float(np.nan_to_num(np.mean(np.sum(both**2, axis=(1, 2))) / dof))
+        left = FAR_SMALLER * (1.0 - shared) * dof
         word, why = (Consistency.CONSISTENT, Reason.EXACT_START) if mean_nees >= left else (word, why)
     many_far_off = beyond >= MANY_FAR_OFF and probability_beyond_3_sd(beyond, independent) < 1.0 - CONFIDENCE
     if word != Consistency.OVER_CONFIDENT and many_far_off:

@@ -71,16 +71,11 @@ class CourseErrors(NamedTuple):
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
     """Choose overlapping segments of a length in time; none where a hole of the reference is near the end."""
-    return _segments(time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s)
+    return distance_segments(time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s)
 
 
-def distance_segments(time_ns: TimeNs, distance_m: Floats, length_m: float = SEGMENT_M) -> Segments:
-    """Choose overlapping segments of a distance travelled, by that from `errors.reference_distance_m`."""
-    return _segments(time_ns, distance_m, length_m)
-
-
-def _segments(time_ns: TimeNs, travelled: Floats, length: float) -> Segments:
-    """Pair each start with the time whose seconds, or metres, are nearest to a length further on."""
+def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMENT_M) -> Segments:
+    """Pair each start with the time whose distance travelled, or seconds, is nearest to a length further on."""
     first = thinned(time_ns, STEP_S)
     # What remains at the end of the dive is no segment; the last may lack what rounding takes.
     first = first[travelled[first] + length <= travelled[-1:] + ROUNDING * length]

@@ -32,26 +32,28 @@ def pooled_evidence(
     gathered: dict[str, list[EvidenceRow]] = {}
     for row in (row for rows in dives for row in rows if row.evidence != HONESTY):
         gathered.setdefault(row.quantity, []).append(row)
-    return [_pooled(candidate, gathered[quantity]) for quantity in EVIDENCE_QUANTITIES if quantity in gathered]
-
-
-def _pooled(candidate: str, rows: Sequence[EvidenceRow]) -> PooledRow:
-    first = rows[0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.asarray(np.log([finite(row.ratio) for row in rows]))
-    interval = dives_ratio(logs)
-    word = word_of(interval, FEWEST_DIVES)
-    if any((row.baseline is None) != (row.value is None) for row in rows):
-        # One of the filters never settled on some dive: the dives with a ratio are those where it did.
-        word = EvidenceWord.UNDECIDED
-    medians = [float("nan"), float("nan")]
-    for i, values in enumerate(([finite(row.baseline) for row in rows], [finite(row.value) for row in rows])):
-        known = [value for value in values if np.isfinite(value)]
-        medians[i] = float(np.median(known)) if known else float("nan")
-    baseline, value = medians
-    dives, won = int(np.isfinite(logs).sum()), int((logs < 0.0).sum())
-    ends = interval.ratio, interval.low, interval.high, dives, won, interval.p
-    return PooledRow(EVERY_DIVE, candidate, first.evidence, first.quantity, first.unit, baseline, value, *ends, word)
+    pooled = []
+    for rows in (gathered[quantity] for quantity in EVIDENCE_QUANTITIES if quantity in gathered):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.asarray(np.log([finite(row.ratio) for row in rows]))
+        interval = dives_ratio(logs)
+        word = word_of(interval, FEWEST_DIVES)
+        if any((row.baseline is None) != (row.value is None) for row in rows):
+            # One of the filters never settled on some dive: the dives with a ratio are those where it did.
+            word = EvidenceWord.UNDECIDED
+        medians = [float("nan"), float("nan")]
+        for i, values in enumerate(([finite(row.baseline) for row in rows], [finite(row.value) for row in rows])):
+            told = [value for value in values if np.isfinite(value)]
+            medians[i] = float(np.median(told)) if told else float("nan")
+        baseline, value = medians
+        known, won = int(np.isfinite(logs).sum()), int((logs < 0.0).sum())
+        ends = interval.ratio, interval.low, interval.high, known, won, interval.p
+        pooled.append(
+            PooledRow(
+                EVERY_DIVE, candidate, rows[0].evidence, rows[0].quantity, rows[0].unit, baseline, value, *ends, word
+            )
+        )
+    return pooled
 
 
 @dataclass(frozen=True)

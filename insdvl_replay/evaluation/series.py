@@ -82,7 +82,7 @@ def samples_in_mean(values: Floats) -> float:
         return float(n)
     if values.var() <= 0.0:
         return 1.0
-    samples, (averages, _) = n / _correlation_time(values), slow_part(values)
+    samples, (averages, _) = n / _correlation_time(values), _averages(values, slow=True)
     if len(averages):
         samples_of_averages = len(averages) / _correlation_time(averages)
         samples = min(samples, samples_of_averages * float(values.var() / averages.var()))
@@ -131,23 +131,19 @@ def _squared_correlation_time(series: Floats) -> float:
     return float(times[np.argmax(beyond)] if beyond.any() else times[-1])
 
 
-def slow_part(values: Floats) -> tuple[Floats, int]:
-    """Return averages of neighbours where these are correlated beyond chance, else none; and how many are averaged."""
-    averages, together = _averages(values)
-    if len(averages):
-        covariance = autocovariance(averages)
-        if not covariance[1] > SLOW * covariance[0] / np.sqrt(len(averages)):
-            averages = np.empty(0)
-    return averages, together
+def _averages(values: Floats, *, slow: bool = False) -> tuple[Floats, int]:
+    """Return averages of neighbours, none where there would be few, and how many are averaged.
 
-
-def _averages(values: Floats) -> tuple[Floats, int]:
-    """Return averages of neighbours, none where there would be few, and how many are averaged."""
+    If only a slow part counts, there are none where averages are not correlated beyond chance.
+    """
     together = max(1, int(np.ceil(np.sqrt(len(values)) / 2.0)))
     groups = len(values) // together
-    if groups < FEWEST_AVERAGES:
-        return np.empty(0), together
-    return values[: groups * together].reshape(groups, together).mean(axis=1), together
+    averages = values[: groups * together].reshape(groups, together).mean(axis=1)
+    known = groups >= FEWEST_AVERAGES
+    if known and slow:
+        covariance = autocovariance(averages)
+        known = covariance[1] > SLOW * covariance[0] / np.sqrt(groups)
+    return averages if known else np.empty(0), together
 
 
 def block_length(values: Floats) -> int:
@@ -277,7 +273,7 @@ def paired_ratio(
     # Blocks as long as the slow part asks for, at most a third of the values.
     block = 1
     if is_correlated:
-        averages, neighbours = slow_part(over_time)
+        averages, neighbours = _averages(over_time, slow=True)
         slow_length = block_length(averages)
         optimal = max(block_length(over_time), neighbours * slow_length if slow_length > 1 else 1)
         wanted = WIDER_THAN_OPTIMAL * optimal if optimal > 1 else 1

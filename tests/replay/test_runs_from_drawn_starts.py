@@ -72,6 +72,8 @@ def test_first_run_is_that_of_the_replay(exact: Dive) -> None:
         np.testing.assert_array_equal(errors.time_ns, expected.time_ns)
         for name in ("position_error_ned_m", "velocity_error_n"):
             np.testing.assert_array_equal(getattr(errors, name)[0], getattr(expected, name))
+        vehicle = about_vehicle(errors, dive.reference).error[0, :, PHI]
+        np.testing.assert_allclose(vehicle, expected.attitude_error_rad, rtol=0.0, atol=1e-12)
         np.testing.assert_array_equal(errors.time_s, (expected.time_ns - history.time_ns[0]) * 1e-9)
 
 
