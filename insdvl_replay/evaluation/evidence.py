@@ -248,12 +248,8 @@ def evidence_table(
             after = measured.outage.get(candidate, {}).get(window)
             if after is not None and len(before):
                 interval = windows_ratio(before, after)
-                numbers, word, why = (
-                    (_rms(before**2), _rms(after**2), *_ends(interval)),
-                    word_of(interval),
-                    _why(interval),
-                )
-                about = *named, "coasting", f"coasting_{window}", "m"
+                numbers = _rms(before**2), _rms(after**2), *_ends(interval)
+                word, why, about = word_of(interval), _why(interval), (*named, "coasting", f"coasting_{window}", "m")
                 rows.append(EvidenceRow(*about, *numbers, 1, len(before), word, interval.p, why))
         rows += _rows_of_squares((*named, "withheld"), measured.held_out.get(candidate, ({}, {})))
         for quantity, name in CONVERGED.items():
@@ -342,23 +338,6 @@ def _rms(squared: Floats) -> float:
 # --- Consistency as evidence; it has no weight for gain.
 
 
-class _Size(NamedTuple):
-    """A mean over its degrees of freedom, 1 is expected, and its verdict."""
-
-    mean: float
-    verdict: str
-
-    @property
-    def rank(self) -> int:
-        """The rank of the verdict, best first."""
-        return VERDICTS_BEST_FIRST.index(Consistency(self.verdict)) if self.verdict in VERDICTS_BEST_FIRST else -1
-
-    @property
-    def off(self) -> float:
-        """How far the mean is from what is expected, whichever way; NaN is nearest."""
-        return abs(math.log(self.mean)) if self.mean > 0.0 else 0.0 if math.isnan(self.mean) else math.inf
-
-
 def _consistency_rows(
     named: tuple[str, str],
     baseline: str,
@@ -385,28 +364,29 @@ def _consistency_rows(
     for quantity, found in sizes.items():
         worst = []
         for name in (baseline, named[1]):
-            own = [
-                _Size(finite(mean) / dof if dof else math.nan, verdict)
-                for owner, mean, dof, verdict in found
-                if owner == name
-            ]
-            # Of the worst verdicts the largest. Small ones say less: a filter starts on the reference, and what it
-            # keeps of that is as small as it happens to be.
-            ranks = [(size.rank, -1.0 if math.isnan(size.mean) else size.mean, size) for size in own]
-            worst.append(max(ranks, default=(-1, -1.0, _Size(math.nan, "")))[-1])
-        before, after = worst
-        if not (math.isfinite(before.mean) and math.isfinite(after.mean)):
+            # Of the worst verdicts the largest mean over its degrees of freedom, of which 1 is expected. Small ones say
+            # less: a filter starts on the reference, and what it keeps of that is as small as it happens to be.
+            ranked = [(-1, -1.0, math.nan, "")]
+            for owner, mean, dof, verdict in found:
+                size, rank = finite(mean) / dof if dof else math.nan, -1
+                if verdict in VERDICTS_BEST_FIRST:
+                    rank = VERDICTS_BEST_FIRST.index(Consistency(verdict))
+                if owner == name:
+                    ranked.append((rank, -1.0 if math.isnan(size) else size, size, verdict))
+            worst.append(max(ranked, key=lambda row: row[:2]))
+        (rank, _, before, was), (new_rank, _, after, now) = worst
+        if not (math.isfinite(before) and math.isfinite(after)):
             continue
+        off, new_off = (abs(math.log(size)) if size > 0.0 else math.inf for size in (before, after))
         # A candidate is not more consistent for being over-confident instead.
-        ratio, word = math.exp(after.off - before.off), EvidenceWord.EQUIVALENT
-        becomes_worse = after.rank > before.rank
-        if Consistency.TOO_FEW in (before.verdict, after.verdict):
+        ratio, word, becomes_worse = math.exp(new_off - off), EvidenceWord.EQUIVALENT, new_rank > rank
+        if Consistency.TOO_FEW in (was, now):
             word = EvidenceWord.UNDECIDED
-        elif before.verdict == after.verdict == Consistency.OVER_CAUTIOUS:
+        elif was == now == Consistency.OVER_CAUTIOUS:
             word = EvidenceWord.EQUIVALENT  # both promise less than they keep
-        elif ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not becomes_worse:
+        elif ratio < 1.0 / NOTABLY and was != Consistency.CONSISTENT and not becomes_worse:
             word = EvidenceWord.BETTER
-        elif after.verdict != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
+        elif now != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
             word = EvidenceWord.WORSE
-        numbers = before.mean, after.mean, ratio, math.nan, math.nan, math.nan
+        numbers = before, after, ratio, math.nan, math.nan, math.nan
         yield EvidenceRow(*named, HONESTY, quantity, "", *numbers, 1, 0, word)
