@@ -6,7 +6,7 @@ is the reference's wherever it can be measured.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,13 +114,7 @@ class ReferenceErrors:
     velocity_error_n: Floats  # (k, 3), m/s
     attitude_error_rad: Floats  # (k, 3), roll, pitch, heading: about level forward, level starboard and down
     distance_m: float  # horizontal, from the start to the last compared position
-    dead_reckoned_error_ned_m: Floats | None = None  # position errors with all corrections of the position taken back
-
-    @property
-    def drifting_ned_m(self) -> Floats:
-        """The position error that only the velocity changes, shape (k, 3): a correction of the position is no drift."""
-        dead_reckoned = self.dead_reckoned_error_ned_m
-        return self.position_error_ned_m if dead_reckoned is None else dead_reckoned
+    drifting_ned_m: Floats  # (k, 3), position errors with all corrections of the position taken back
 
 
 def reference_errors(history: History, reference: ReferenceColumns, baseline: History | None = None) -> ReferenceErrors:
@@ -137,7 +131,7 @@ def reference_errors(history: History, reference: ReferenceColumns, baseline: Hi
         history.velocity_n[ours] - reference.velocity_n[theirs],
         attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
         compared_distance_m(reference, baseline or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
-        north_east_down_m(history.dead_reckoned[ours], reference.position[theirs]) if len(history.corrected) else None,
+        north_east_down_m(history.dead_reckoned[ours], reference.position[theirs]),
     )
 
 
@@ -211,46 +205,35 @@ class DrawnErrors:
     velocity_error_n: Floats  # (s, k, 3), m/s
     error: Floats  # (s, k, 12), of the states, see `errors_at`
     sd: Floats  # (k, 12), by the filter's covariance, from its own start; from the others it hardly differs
-    dead_reckoned_error_ned_m: Floats | None = None  # (s, k, 3), as of `ReferenceErrors`
-
-    @property
-    def drifting_ned_m(self) -> Floats:
-        """The position error that only the velocity changes, shape (s, k, 3)."""
-        dead_reckoned = self.dead_reckoned_error_ned_m
-        return self.position_error_ned_m if dead_reckoned is None else dead_reckoned
+    drifting_ned_m: Floats  # (s, k, 3), as of `ReferenceErrors`
 
 
 def run_from_start(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> DrawnErrors:
     """Compare one run with the reference, and its biases with the truth, and let go of all else."""
     time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
     ours, position = ours + 1, reference.position[theirs]
-    dead_reckoned = north_east_down_m(history.dead_reckoned[ours], position)[None] if len(history.corrected) else None
+    error_ned_m = drifting_ned_m = north_east_down_m(history.position[ours], position)[None]
+    if len(history.corrected):
+        drifting_ned_m = north_east_down_m(history.dead_reckoned[ours], position)[None]
     return DrawnErrors(
         history.filter,
         time_ns,
         seconds(time_ns, history.time_ns[0]),
-        north_east_down_m(history.position[ours], position)[None],
+        error_ned_m,
         (history.velocity_n[ours] - reference.velocity_n[theirs])[None],
         errors_at(time_ns, history, reference, truth)[None, :, : len(STATES)],
         history.sd[ours, : len(STATES)],
-        dead_reckoned,
+        drifting_ned_m,
     )
 
 
 def drawn_errors(runs: Sequence[DrawnErrors]) -> DrawnErrors:
     """Take the runs of one filter together, that from the dive's own start first."""
-    position, velocity, error = (
-        np.concatenate([getattr(run, name) for run in runs])
-        for name in ("position_error_ned_m", "velocity_error_n", "error")
-    )
-    dead_reckoned = [run.dead_reckoned_error_ned_m for run in runs if run.dead_reckoned_error_ned_m is not None]
-    return replace(
-        runs[0],
-        position_error_ned_m=position,
-        velocity_error_n=velocity,
-        error=error,
-        dead_reckoned_error_ned_m=np.concatenate(dead_reckoned) if dead_reckoned else None,
-    )
+    names = ["velocity_error_n", "error", "position_error_ned_m", "drifting_ned_m"]
+    columns: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
+    if runs[0].drifting_ned_m is runs[0].position_error_ned_m:  # without corrections one array holds both
+        columns["drifting_ned_m"] = columns["position_error_ned_m"]
+    return replace(runs[0], **columns)
 
 
 def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:
@@ -261,7 +244,7 @@ def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:
         position_error_ned_m=np.where(located, drawn.position_error_ned_m, np.nan),
         velocity_error_n=np.where(np.isfinite(single.velocity_error_n), drawn.velocity_error_n, np.nan),
         error=np.where(np.isfinite(single.error), drawn.error, np.nan),
-        dead_reckoned_error_ned_m=np.where(located, drawn.drifting_ned_m, np.nan),
+        drifting_ned_m=np.where(located, drawn.drifting_ned_m, np.nan),
     )
 
 

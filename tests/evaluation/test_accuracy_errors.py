@@ -41,7 +41,9 @@ def drawn(dive: Dive, starts: int = FEWEST_STARTS, unknown: slice = slice(0, 0))
     error[1:, :, 3], error[1:, :, 5] = ROLL_DEG * DEG, HEADING_DEG * DEG
     error[:, unknown] = np.nan
     position_m, velocity_mps = (np.tile(column, (starts, 1, 1)) for column in (position_m, velocity_mps))
-    return DrawnErrors("aided", time_ns, time_s, position_m, velocity_mps, error, np.ones((len(time_s), 12)))
+    return DrawnErrors(
+        "aided", time_ns, time_s, position_m, velocity_mps, error, np.ones((len(time_s), 12)), position_m
+    )
 
 
 def rms(squared: Floats) -> float:
@@ -111,6 +113,7 @@ def test_attitude_from_few_starts_is_no_evidence(dive: Dive) -> None:
 
 def test_reference_without_positions_has_velocities(dive: Dive) -> None:
     whole = drawn(dive)
-    nowhere = replace(whole, position_error_ned_m=np.full_like(whole.position_error_ned_m, np.nan))
+    nothing = np.full_like(whole.position_error_ned_m, np.nan)
+    nowhere = replace(whole, position_error_ned_m=nothing, drifting_ned_m=nothing)
     found = accuracy_errors(nowhere, reference_of(dive), NOISE, bridged_gaps=False)
     assert list(found) == ["velocity_along", "velocity_across", "level", "heading"]

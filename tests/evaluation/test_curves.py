@@ -18,7 +18,7 @@ def drawn(name: str, size: float, *, heading: bool = True, starts: int = STARTS)
     error[0] = 1e6
     error[..., 5] *= 1.0 if heading else np.nan
     velocity: Floats = error[..., :3]
-    return DrawnErrors(name, np.arange(k), TIME_S, velocity, velocity, error, np.full((k, 12), 3.0 * size))
+    return DrawnErrors(name, np.arange(k), TIME_S, velocity, velocity, error, np.full((k, 12), 3.0 * size), velocity)
 
 
 def test_rms_is_of_the_drawn_starts_over_the_last_tenth_of_the_time() -> None:

@@ -35,6 +35,7 @@ def errors_of(position_ned_m: Floats, velocity_n: Floats | None = None, step_s: 
         np.zeros((k, 3)) if velocity_n is None else velocity_n,
         np.zeros((k, 3)),
         100.0,
+        position_ned_m,
     )
 
 
@@ -76,7 +77,7 @@ def test_correction_of_the_position_is_no_drift() -> None:
     """Half of the error is taken out halfway; the positions of the vehicle move on as before."""
     dead_reckoned = growing(400, (0.03, -0.04, 0.01))
     corrected = dead_reckoned - np.where(np.arange(400)[:, None] < 200, 0.0, 0.5 * dead_reckoned[200])
-    errors = replace(errors_of(corrected), dead_reckoned_error_ned_m=dead_reckoned)
+    errors = replace(errors_of(corrected), drifting_ned_m=dead_reckoned)
     drift = segment_drift(errors, time_segments(errors.time_ns))
     np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
 
@@ -128,6 +129,7 @@ def test_segments_do_not_reach_across_a_hole_where_they_end() -> None:
         errors,
         time_ns=errors.time_ns[kept],
         position_error_ned_m=errors.position_error_ned_m[kept],
+        drifting_ned_m=errors.drifting_ned_m[kept],
         velocity_error_n=errors.velocity_error_n[kept],
     )
     drift = segment_drift(holed, time_segments(holed.time_ns))
@@ -265,7 +267,8 @@ def test_what_the_reference_or_a_gap_leaves_unknown_has_no_row() -> None:
     reference, errors = going(400, np.array([1.0, 0.0, 0.0])), errors_of(growing(400, (0.1, 0.0, 0.0)))
     unlocated = replace(reference, position=np.full((400, 3), np.nan))
     of_velocity = ["velocity_along", "velocity_across"]
-    blind = replace(errors, position_error_ned_m=np.full((400, 3), np.nan))
+    nothing = np.full((400, 3), np.nan)
+    blind = replace(errors, position_error_ned_m=nothing, drifting_ned_m=nothing)
     assert [row.quantity for row in table(unlocated, aided=blind)] == of_velocity
     assert [row.quantity for row in table(reference, aided=errors, bridged_gaps=True)] == of_velocity
     short = table(going(30, np.array([1.0, 0.0, 0.0])), aided=errors_of(growing(30, (0.1, 0.0, 0.0))))

@@ -89,10 +89,10 @@ def test_filter_is_fitted_at_the_times_that_both_have() -> None:
     estimated_m = shrunk_and_turned_back(track_m - track_m[0], -0.5, 0.7)
     error_m = np.column_stack([estimated_m - (track_m - track_m[0]), np.zeros(400)])[1:]
     error_m[20] = np.nan
-    errors = ReferenceErrors(TIME_NS[1:], error_m, error_m, error_m, 100.0)
+    errors = ReferenceErrors(TIME_NS[1:], error_m, error_m, error_m, 100.0, error_m)
     fit = filter_track_fit(errors, reference)
     assert (fit.scale_pct, fit.turn_deg) == pytest.approx((-0.5, 0.7), abs=0.01)
-    empty = ReferenceErrors(TIME_NS[:0], error_m[:0], error_m[:0], error_m[:0], 0.0)
+    empty = ReferenceErrors(TIME_NS[:0], error_m[:0], error_m[:0], error_m[:0], 0.0, error_m[:0])
     assert np.isnan(filter_track_fit(empty, reference).scale_pct)
 
 

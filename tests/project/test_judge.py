@@ -53,7 +53,9 @@ def test_drift_is_the_change_of_the_error_over_a_minute() -> None:
     time_s = np.arange(0.0, 300.0, 0.2)
     drifting_m = np.outer(time_s, [0.003, 0.004, 1.0])
     velocity_n = np.tile([0.03, 0.04, 1.0], (len(time_s), 1))
-    errors = ReferenceErrors(np.rint(time_s * NS_PER_S).astype(np.int64), drifting_m, velocity_n, velocity_n, 300.0)
+    errors = ReferenceErrors(
+        np.rint(time_s * NS_PER_S).astype(np.int64), drifting_m, velocity_n, velocity_n, 300.0, drifting_m
+    )
     squares = mean_squares(errors)
     assert squares[:2] == pytest.approx((0.3**2, 0.05**2), rel=1e-9)
     assert squares.end_m2 == pytest.approx((0.005 * time_s[-1]) ** 2)
