@@ -220,7 +220,7 @@ class Result:
     @property
     def histories(self) -> dict[str, "pd.DataFrame"]:
         """The whole history of each filter, of a replay that was not read back; see `histories.history_frame`."""
-        from insdvl_replay.results.histories import history_frame
+        from insdvl_replay.results.result_files import history_frame
 
         if self._replay is None:
             raise ValueError(f"{self.name}: was read back, which has the trajectory alone; replay its log")

@@ -1,4 +1,1 @@
-"""Many dives: which are meant (`dive_paths`), which have to be replayed (`known_results`), and their replay (`jobs`).
-
-`workers` hand out the work, and do it here; `cluster` has workers elsewhere. `noise_tuning` adds the tuned baseline.
-"""
+"""Many dives: `dive_paths` finds them, `jobs` replays them on `workers`, and `noise_tuning` fits their noise."""

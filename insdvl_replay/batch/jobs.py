@@ -1,6 +1,8 @@
-"""Many dives, each a job: where its result goes, and its replay on as many workers as there are.
+"""Many dives, each a job: where its result goes, whether it is there already, and its replay by as many workers.
 
-What is heavy to import waits until a dive is replayed: often none is.
+A result is known by its content: while the log's bytes, the resolved settings, the versions and the tool's own sources
+are those that ``report.json`` names, and the files that it lists are whole, the dive is not replayed again. So an
+interrupted run goes on where it stopped. With measurements of the user's own every dive is replayed.
 """
 
 import hashlib
@@ -10,17 +12,33 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
 from insdvl_replay import __version__
-from insdvl_replay.batch.workers import WorkerLostError, Workers, do_each
+from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import unique_names
-from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
 from insdvl_replay.core.runtime import parallel_map, sources_digest
-from insdvl_replay.results.folder import COMPLETE, result_digest, result_folder
-from insdvl_replay.results.json_report import Report, decode_report, encode_report
+from insdvl_replay.core.words import Severity
+from insdvl_replay.results.folder import (
+    COMPLETE,
+    NOT_JSON,
+    REPLAY_LOG,
+    damaged_files,
+    history_file,
+    read_file,
+    require_replaceable_folder,
+    result_folder,
+    trajectory_file,
+)
+from insdvl_replay.results.json_report import Report, decode_report, encode_report, package_versions
+
+CONTROL_NOTE: Final = "control_fitted"
+DAMAGE_NOTE: Final = "log_damaged"
+DAMAGED_RESULT: Final = "result_damaged"
 
 
 @dataclass(frozen=True)
@@ -32,7 +50,7 @@ class ReplayOptions:
     control: bool = False  # add the baseline with its noise fitted
     trajectories: bool = False  # write TUM files, too
     histories: bool = True  # write replay.mcap
-    history_format: str = ""  # of each filter's history beside it; empty for none
+    history_format: str = ""  # of each filter's history next to it; empty for none
     version: str = __version__  # of the tool, which workers elsewhere must have, too
     sources: str = field(default_factory=sources_digest)  # likewise
 
@@ -46,7 +64,6 @@ class ReplayJob:
     target: Path  # its result folder, which bears the dive's name
     options: ReplayOptions
     sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
-    before: str | None = None  # `result_digest` of the target as the replay is asked for; another run's result stays
 
 
 @dataclass(frozen=True)
@@ -55,54 +72,117 @@ class Outcome:
 
     job: ReplayJob
     result: Report | Exception
-    unchanged: bool = False  # the result lay there already
+    unchanged: bool = False  # the result was there already
 
 
 def plan_jobs(logs: Sequence[Path], output: Path, options: ReplayOptions, *, one_dive: bool = False) -> list[ReplayJob]:
-    """Name each dive's result folder, below the output; a ConfigError says that two dives would share a name."""
+    """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError."""
     dives = [tuple(logs)] if one_dive else [(log,) for log in logs]
-    givers = [_name_giver(dive) for dive in dives]
+    givers = [first for first, *_ in dives]
+    if one_dive and len(logs) > 1:
+        from insdvl_replay.logs import name_giver  # heavy
+
+        givers = [name_giver(tuple(logs))]
     names = unique_names(givers)
     return [
-        ReplayJob(dive, giver, output / name, options, before=result_digest(output / name))
-        for dive, giver, name in zip(dives, givers, names, strict=True)
+        ReplayJob(dive, giver, output / name, options) for dive, giver, name in zip(dives, givers, names, strict=True)
     ]
 
 
-def _name_giver(logs: tuple[Path, ...]) -> Path:
-    if len(logs) == 1:
-        return logs[0]
-    from insdvl_replay.logs import name_giver
+def known_reports(
+    jobs: Sequence[ReplayJob], *, force: bool, rerun: bool = False, report_note: Callable[[Note], None] = lambda _: None
+) -> dict[Path, Report]:
+    """Return the reports of dives whose result is there and whole, made from the same log, settings and versions.
 
-    return name_giver(logs)
+    With ``force``, results made from anything else may be replaced; with ``rerun``, none is taken for known. A result
+    whose files are not as they were written is reported, and replaced. A folder that is in the way, or holds what a
+    result did not write, is a ConfigError.
+    """
+    known = {}
+    # Where all is replaced anyway, no log needs to be digested.
+    found = [None] * len(jobs) if force and rerun else parallel_map(_known_report, jobs)
+    for job, report in zip(jobs, found, strict=True):
+        if isinstance(report, Report):
+            if not rerun and not job.options.config.code:  # no digest is kept of all that code reads
+                known[job.target] = report
+            continue
+        if isinstance(report, Note):
+            if not force:
+                raise ConfigError(report.text, "keep what was changed, or replace it with --force")
+            report_note(report)
+        require_replaceable_folder(job.target, force=force)
+    return known
+
+
+def _known_report(job: ReplayJob) -> Report | Note | None:
+    """Return the report if another replay would give the same; a note if only its files are not whole.
+
+    What is large is read last: the log, then the files of the result.
+    """
+    options = job.options
+    try:
+        report = decode_report(read_file(job.target / COMPLETE))
+        names = (report.baseline, *report.filters)
+        wanted = {*map(trajectory_file, names)} if options.trajectories else set()
+        wanted |= {REPLAY_LOG} if options.histories else set()
+        wanted |= {history_file(name, options.history_format) for name in names} if options.history_format else set()
+        config, codes = report.config, {note.code for note in report.notes}
+        if options.control:  # the tuned baseline is known by its note, since it was fitted
+            config = config | {"filters": {name: config["filters"][name] for name in [*config["filters"]][:-1]}}
+        same = (
+            (report.tool.version, report.tool.sources) == (options.version, options.sources)
+            and report.versions == package_versions()
+            and report.log.name == job.target.name
+            and (CONTROL_NOTE in codes) == options.control
+            and (DAMAGE_NOTE not in codes or options.allow_damaged)
+            and msgspec.json.encode(config) == msgspec.json.encode(options.config)
+            and wanted <= set(report.files)
+            and log_digest(job) == report.log.sha256
+        )
+        damaged = damaged_files(job.target) if same else []
+    except (OSError, *NOT_JSON, UserError):  # a log that is no longer whole is reported by its replay
+        return None
+    if damaged:
+        text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
+        return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
+    return report if same else None
 
 
 def replay_jobs(
-    jobs: Sequence[ReplayJob], known: dict[Path, Report], workers: Workers, after_dive: Callable[[Outcome], None]
+    jobs: Sequence[ReplayJob],
+    known: dict[Path, Report],
+    pool: Pool | None,
+    after_dive: Callable[[Outcome], object] = lambda _: None,
+    *,
+    elsewhere: bool = False,
 ) -> Generator[Outcome, None, None]:
     """Replay dives, each into its folder. One that fails does not stop the others.
 
     Those that `known_reports` has found need no replay; they are taken out on the way. ``after_dive`` is called as soon
-    as a dive is done; outcomes come in the order of the jobs.
+    as a dive is done; outcomes come in the order of the jobs. Workers elsewhere may be in other folders, on other
+    machines.
     """
     todo = [job for job in jobs if job.target not in known]
     done: dict[Path, Outcome] = {}
-    sent = list(parallel_map(_for_elsewhere, todo)) if workers.are_elsewhere else todo
-    with closing(do_each(replay_into, sent, workers)) as replays:
+    sent = list(parallel_map(_for_elsewhere, todo)) if elsewhere else todo
+    with closing(do_each(replay_into, sent, pool)) as replays:
         for job in jobs:
             if job.target in known:
                 yield Outcome(job, known.pop(job.target), unchanged=True)
                 continue
             while job.target not in done:
                 place, result = next(replays)
-                outcome = Outcome(todo[place], _result_of(todo[place], result))
+                finished = todo[place]
+                if isinstance(result, WorkerLostError):  # workers do not know of logs
+                    result = LogError(f"{finished.name}: {result.message}", result.hint)
+                outcome = Outcome(finished, decode_report(result) if isinstance(result, bytes) else result)
                 after_dive(outcome)
-                done[outcome.job.target] = outcome
+                done[finished.target] = outcome
             yield done.pop(job.target)
 
 
 def _for_elsewhere(job: ReplayJob) -> ReplayJob:
-    """Report which files are meant to a worker that may stand in another folder or on another machine."""
+    """Report which files are meant to a worker that may be in another folder or on another machine."""
     try:
         digest = log_digest(job)
     except (OSError, LogError):  # its replay reports it
@@ -111,43 +191,39 @@ def _for_elsewhere(job: ReplayJob) -> ReplayJob:
     return replace(job, logs=logs, name=job.name.absolute(), target=job.target.absolute(), sha256=digest)
 
 
-def _result_of(job: ReplayJob, result: bytes | Exception) -> Report | Exception:
-    if isinstance(result, WorkerLostError):  # workers do not know of logs
-        return LogError(f"{job.name}: {result.message}", result.hint)
-    return decode_report(result) if isinstance(result, bytes) else result
-
-
 def replay_into(job: ReplayJob) -> bytes:
-    """Replay one log into its folder."""
-    wanted, here = f"{job.options.version} ({job.options.sources})", f"{__version__} ({sources_digest()})"
+    """Replay one dive into its folder, and return its report."""
+    options = job.options
+    wanted, here = f"{options.version} ({options.sources})", f"{__version__} ({sources_digest()})"
     if wanted != here:
         raise ConfigError(
             f"{job.name}: asked for by insdvl-replay {wanted}, but the worker has {here}",
             "install the same version on all workers",
         )
-    from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
+    # Heavy, and often no dive is replayed.
     from insdvl_replay.replay import replay_log
     from insdvl_replay.results.result_files import save_histories, save_replay, save_trajectories
 
+    run = replay_log
+    if options.control:
+        from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline as run
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    run = replay_with_tuned_baseline if job.options.control else replay_log
-    replay = run(job.logs, job.options.config, allow_damaged=job.options.allow_damaged, name=job.target.name)
+    replay = run(job.logs, options.config, allow_damaged=options.allow_damaged, name=job.target.name)
     if job.sha256 is not None and replay.dive.sha256 != job.sha256:
         raise LogError(
             f"{job.name}: the worker has another file there: its SHA-256 is {replay.dive.sha256}, where the replay "
             f"was asked for it is {job.sha256 or 'not to be had'}",
             "--scheduler needs workers that see the same files under the same paths",
         )
-    with result_folder(job.target, force=True, before=job.before) as folder:
-        save_replay(replay, folder, histories=job.options.histories)
-        if job.options.trajectories:
+    with result_folder(job.target, force=True) as folder:
+        save_replay(replay, folder, histories=options.histories)
+        if options.trajectories:
             save_trajectories(replay, folder)
-        if job.options.history_format:
-            save_histories(replay, folder, job.options.history_format)
+        if options.history_format:
+            save_histories(replay, folder, options.history_format)
         report = decode_report((folder / COMPLETE).read_bytes())
-        tool = msgspec.structs.replace(
-            report.tool, started_at=started_at, elapsed_s=round(time.perf_counter() - start_s, 3)
-        )
+        elapsed_s = round(time.perf_counter() - start_s, 3)
+        tool = msgspec.structs.replace(report.tool, started_at=started_at, elapsed_s=elapsed_s)
         (folder / COMPLETE).write_bytes(encode_report(msgspec.structs.replace(report, tool=tool)))
     return (job.target / COMPLETE).read_bytes()
 

@@ -1,159 +1,115 @@
-"""The same work on many items: in this process, or in others that it starts and that end with it.
+"""The same work on many items: in this process, in several that end with it, or on a dask.distributed cluster.
 
-`cluster` has workers elsewhere; all of them are reached through ``concurrent.futures``.
-
-A worker that dies takes what it held with it. Such items are tried once more, one at a time in a fresh worker, so that
-the one that kills its worker is distinguished from those that ran beside it.
+A worker that dies takes the items that it held with it. They are tried once more, one at a time, so that the item that
+kills its worker is known, and all others are done.
 """
 
+import importlib
+import logging
 import multiprocessing
 import os
 import signal
 import sys
-import threading
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
-from concurrent.futures.process import ProcessPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from typing import Any, Final, TypeVar
 
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.runtime import prepare_process
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Submit = Callable[..., "Future[Any]"]
+Pool = Callable[[bool], AbstractContextManager[tuple[Submit, int]]]
+"""Opens workers, a single one if asked to: how work is handed to them, and how many items they hold at a time."""
 
 _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
-_ENDED_WITHIN_S: Final = 5.0
+_REACHED_WITHIN_S: Final = 10
+_WORKERS_WITHIN_S: Final = 60
+_ENDED_WITHIN_S: Final = 5
 
 
 class WorkerLostError(LogError):
     """A worker died over an item, twice (exit code 3)."""
 
 
-@dataclass(frozen=True)
-class Pool:
-    """Workers that are at work."""
-
-    executor: Executor
-    in_flight: int  # items that they hold at a time; more than there are workers, so that none waits
-    require_alive: Callable[[], None] = lambda: None  # raises an error when nothing more is to be expected of them
-    look_every_s: float | None = None  # how often it is asked while no item gets done; None for never
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Where work is done."""
-
-    open: Callable[[bool], AbstractContextManager[Pool]]  # gives a fresh pool, of a single worker if asked to
-    lost: tuple[type[BaseException], ...] = (BrokenExecutor, CancelledError)  # raised by a future whose worker died
-    are_elsewhere: bool = False  # they may stand in other folders, on other machines
-
-
 def do_each(
-    work: Callable[[Item], Result], items: Sequence[Item], workers: Workers
+    work: Callable[[Item], Result], items: Sequence[Item], pool: Pool | None
 ) -> Generator[tuple[int, Result | Exception], None, None]:
-    """Do the work on each item."""
+    """Do the work on each item, in this process if there is no pool; yield place and outcome as they are done."""
+    if pool is None:
+        for place, item in enumerate(items):
+            yield place, _outcome(partial(work, item))
+        return
     suspects = {}
-    for place, outcome in _pass(work, dict(enumerate(items)), workers, alone=False):
+    for place, outcome in _pass(work, dict(enumerate(items)), partial(pool, False)):
         if isinstance(outcome, WorkerLostError):
             suspects[place] = items[place]
         else:
             yield place, outcome
-    yield from _pass(work, suspects, workers, alone=True)
+    yield from _pass(work, suspects, partial(pool, True))
 
 
 def _pass(
-    work: Callable[[Item], Result], items: Mapping[int, Item], workers: Workers, *, alone: bool
+    work: Callable[[Item], Result],
+    items: Mapping[int, Item],
+    open_pool: Callable[[], AbstractContextManager[tuple[Submit, int]]],
 ) -> Iterator[tuple[int, Result | Exception]]:
-    """Go through the items, with a fresh pool after every loss."""
+    """Go through the items, with fresh workers after every loss."""
     waiting = deque(items.items())
     while waiting:
-        with workers.open(alone) as pool:
+        with open_pool() as (submit, in_flight):
             running: dict[Future[Result], int] = {}
             whole = True
             while running or (waiting and whole):
-                while waiting and whole and len(running) < pool.in_flight:
+                while waiting and whole and len(running) < in_flight:
                     place, item = waiting.popleft()
-                    running[_submitted(pool.executor, work, item)] = place
-                done, _ = wait(running, pool.look_every_s, return_when=FIRST_COMPLETED)
-                if not done:
-                    pool.require_alive()
-                for future in done:
-                    outcome = _outcome(future, workers.lost)
+                    try:
+                        future = submit(work, item)
+                    except BrokenExecutor as error:  # since the last result
+                        future = Future()
+                        future.set_exception(error)
+                    running[future] = place
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    outcome = _outcome(future.result)
                     whole = whole and not isinstance(outcome, WorkerLostError)
                     yield running.pop(future), outcome
 
 
-def _submitted(executor: Executor, work: Callable[[Item], Result], item: Item) -> Future[Result]:
+def _outcome(result: Callable[[], Result]) -> Result | Exception:
     try:
-        return executor.submit(work, item)
-    except BrokenExecutor as error:  # it broke since the last result
-        future: Future[Result] = Future()
-        future.set_exception(error)
-        return future
-
-
-def _outcome(future: Future[Result], lost: tuple[type[BaseException], ...]) -> Result | Exception:
-    try:
-        return future.result()
-    except lost as error:
-        return WorkerLostError(
-            f"its worker died, and died again with nothing else to do: {error}",
-            "a machine that runs out of memory kills, and code in the settings may: try it alone, with --jobs 1",
-        )
+        return result()
     except Exception as error:
+        if isinstance(error, BrokenExecutor | CancelledError) or type(error).__name__ == "KilledWorker":
+            return WorkerLostError(
+                f"its worker died, and died again with nothing else to do: {error}",
+                "a machine that runs out of memory kills, and code in the settings may: try it alone, with --jobs 1",
+            )
         # Else it would keep all that was read of its dive for as long as somebody keeps the error.
         traceback.clear_frames(error.__traceback__)
         return error
 
 
-def local_workers(jobs: int, *, runs_code: bool = False) -> Workers:
-    """Work in this process, or in several new ones: as many as jobs at the same time.
+def local_pool(jobs: int, *, runs_code: bool = False) -> Pool | None:
+    """Return a pool of as many processes as jobs; none where this process does the work.
 
-    The user's code runs in a new process. If it ends that process, its dive fails, and the command goes on.
+    The user's code runs in a new process: if it ends that process, its dive fails, and the command goes on.
     """
-    if jobs == 1 and not runs_code:
-        return Workers(lambda _alone: nullcontext(Pool(_InThisProcess(), 1)))
-    return Workers(lambda alone: _processes(1 if alone else jobs))
-
-
-class _InThisProcess(Executor):
-    """Do the work at once."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
-class _Processes(ProcessPoolExecutor):
-    """Processes that a Ctrl-C at the terminal does not reach: their parent ends them."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        if threading.current_thread() is not threading.main_thread():
-            return super().submit(_do, fn, *args, **kwargs)
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a process that is started now will do
-        try:
-            return super().submit(_do, fn, *args, **kwargs)
-        finally:
-            signal.signal(signal.SIGINT, before or signal.SIG_DFL)
+    return None if jobs == 1 and not runs_code else partial(_processes, jobs)
 
 
 @contextmanager
-def _processes(jobs: int) -> Iterator[Pool]:
-    """Spawn processes; an exception, an interruption included, ends them with what they do."""
-    executor = _Processes(jobs, multiprocessing.get_context("spawn"), _begin)
+def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int]]:
+    """Start processes; an exception, an interruption included, ends them with what they do."""
+    executor = ProcessPoolExecutor(1 if alone else jobs, multiprocessing.get_context("spawn"), _begin)
     before = set(multiprocessing.active_children())
     try:
-        yield Pool(executor, 1 if jobs == 1 else 2 * jobs)
+        yield lambda work, item: executor.submit(_do, work, item), 1 if alone or jobs == 1 else 2 * jobs
         executor.shutdown()
     except BaseException:
         ours = set(multiprocessing.active_children()) - before
@@ -170,21 +126,46 @@ def _begin() -> None:
     for name in _THREADS_OF_LIBRARIES:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
     prepare_process()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half written is removed on the way out
-    threading.Thread(target=_end_with_the_parent, daemon=True).start()
 
 
-def _end_with_the_parent() -> None:
-    """Wait until the parent has ended, however it did, and end this worker: nobody else would."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _do(work: Callable[..., Result], *args: Any, **kwargs: Any) -> Result:
+def _do(work: Callable[[Item], Result], item: Item) -> Result:
     """Do the work; a worker that is to end ends, where the pool would take that for the result."""
     try:
-        return work(*args, **kwargs)
+        return work(item)
     except SystemExit:
         os._exit(1)
+
+
+def cluster_pool(address: str) -> Pool:
+    """Return the workers of a dask.distributed cluster that runs already, by its scheduler's address."""
+    try:
+        distributed = importlib.import_module("distributed")
+    except ImportError as error:
+        raise ConfigError(
+            f"--scheduler {address}: dask.distributed is not installed", "pip install 'insdvl-replay[cluster]'"
+        ) from error
+    # Its own logs would print, with tracebacks, what an error of ours says in a sentence.
+    for name in ["distributed", "tornado", "asyncio", *logging.root.manager.loggerDict]:
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    return partial(_cluster, distributed, address)
+
+
+@contextmanager
+def _cluster(distributed: Any, address: str, alone: bool) -> Iterator[tuple[Submit, int]]:
+    try:
+        client = distributed.Client(address, timeout=_REACHED_WITHIN_S, set_as_default=False)
+        client.wait_for_workers(1, timeout=_WORKERS_WITHIN_S)
+    except (OSError, ValueError) as error:
+        raise ConfigError(
+            f"--scheduler {address}: cannot be reached: {error}",
+            "`dask scheduler` prints the address it listens on, and `dask worker` adds a worker",
+        ) from error
+    executor = client.get_executor(pure=False)
+    try:
+        yield executor.submit, 1 if alone else 2 * sum(client.ncores().values())
+    finally:
+        executor.shutdown(wait=False)
+        client.close(timeout=2)

@@ -5,24 +5,23 @@ from typing import Annotated
 import typer
 
 from insdvl_replay import __version__
+from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.calibrate import calibrate
 from insdvl_replay.cli.check import check
 from insdvl_replay.cli.compare import compare
-from insdvl_replay.cli.figure import figure
 from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import write_stdout
-from insdvl_replay.cli.options import PlainCommand
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.study import study
-from insdvl_replay.cli.utilities import compile_, config, schema, simulate
+from insdvl_replay.cli.utilities import compile_, config, figure, schema, simulate
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
 app = typer.Typer(
     rich_markup_mode=None, pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]}
 )
 for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema):
-    app.command(cls=PlainCommand)(command)
-app.command("compile", cls=PlainCommand)(compile_)
+    app.command(cls=opt.PlainCommand)(command)
+app.command("compile", cls=opt.PlainCommand)(compile_)
 app.add_typer(study, name="study")
 
 

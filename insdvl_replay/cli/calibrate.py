@@ -8,20 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.options import (
-    AllowCode,
-    AllowDamaged,
-    Color,
-    Colored,
-    ConfigFiles,
-    Force,
-    Format,
-    Logs,
-    OneDive,
-    Preset,
-    Settings,
-    Verbose,
-)
+from insdvl_replay.cli import options as opt
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -48,16 +35,16 @@ class Mounting(StrEnum):
 
 
 def calibrate(
-    logs: Logs,
+    logs: opt.Logs,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write what is found as settings for -c.")
     ] = None,
     page_file: Annotated[
         Path | None, typer.Option("--page", metavar="FILE", help="Write it with pictures as one HTML page.")
     ] = None,
-    config: ConfigFiles = [],  # noqa: B006
-    preset: Preset = None,
-    settings: Settings = [],  # noqa: B006
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
     only: Annotated[
         str | None,
         typer.Option(
@@ -77,13 +64,13 @@ def calibrate(
             "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
         ),
     ] = [],  # noqa: B006
-    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
-    allow_damaged: AllowDamaged = False,
-    allow_code: AllowCode = False,
-    one_dive: OneDive = False,
-    force: Force = False,
-    verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    format_: Annotated[opt.Format, typer.Option("--format", help="How it is printed.")] = opt.Format.TABLE,
+    allow_damaged: opt.AllowDamaged = False,
+    allow_code: opt.AllowCode = False,
+    one_dive: opt.OneDive = False,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> int:
     """Estimate where the DVL sits, how it is turned, how late and how long it reads, and how noisy the sensors are.
 

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
+from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_notes, write_stdout
-from insdvl_replay.cli.options import Color, Colored, ComparisonFormat, Quiet, Verbose
 
 
 def compare(
@@ -37,10 +37,12 @@ def compare(
         str | None,
         typer.Option(metavar="LIMIT", help="Exit with 1 on `worse`, on `worse:5%` (by more than that), or `changed`."),
     ] = None,
-    format_: Annotated[ComparisonFormat, typer.Option("--format", help="How it is printed.")] = ComparisonFormat.TABLE,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-    color: Colored = Color.AUTO,
+    format_: Annotated[
+        opt.ComparisonFormat, typer.Option("--format", help="How it is printed.")
+    ] = opt.ComparisonFormat.TABLE,
+    verbose: opt.Verbose = 0,
+    quiet: opt.Quiet = False,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> None:
     """Compare stored results: what moved, by how much, and whether that is better.
 
@@ -76,12 +78,12 @@ def compare(
     selection = Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     comparison = compare_results(old, new, selection)
     whole = without_same(comparison) if only_changed else comparison
-    chosen = everything or only_changed or tables or columns or dives or format_ is ComparisonFormat.LATEX
+    chosen = everything or only_changed or tables or columns or dives or format_ is opt.ComparisonFormat.LATEX
     lay_out, seen = (
         (comparison_document if chosen else brief_document),
         comparison if everything else without_same(comparison),
     )
-    if quiet and format_ is ComparisonFormat.TABLE:
+    if quiet and format_ is opt.ComparisonFormat.TABLE:
         write_stdout("".join(f"{visible(line)}\n" for line in opening_lines(comparison)[:1]))
     else:
         write_stdout(

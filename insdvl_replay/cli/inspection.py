@@ -6,19 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
-from insdvl_replay.cli.options import (
-    Color,
-    Colored,
-    ConfigFiles,
-    Force,
-    Format,
-    Logs,
-    OneDive,
-    Preset,
-    Settings,
-    Verbose,
-)
 
 if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
@@ -26,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    logs: Logs,
+    logs: opt.Logs,
     deep: Annotated[
         bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
     ] = False,
@@ -34,17 +23,17 @@ def inspect(
         Path | None,
         typer.Option("--propose", metavar="FILE", help="Write settings with which to run these dives; looks deep."),
     ] = None,
-    config: ConfigFiles = [],  # noqa: B006
-    preset: Preset = None,
-    settings: Settings = [],  # noqa: B006
-    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: Annotated[opt.Format, typer.Option("--format", help="How it is printed.")] = opt.Format.TABLE,
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
     ] = False,
-    one_dive: OneDive = False,
-    force: Force = False,
-    verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    one_dive: opt.OneDive = False,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> int:
     """Say what is in a log, which topics a replay would use and why, and what would stop it.
 
@@ -84,11 +73,11 @@ def inspect(
         except Exception as error:
             code = max(code, log_failure(error, verbose))
             continue
-        if format_ is not Format.JSON:
+        if format_ is not opt.Format.JSON:
             _print(inventory, format_, is_first=not inventories)
         inventories.append(inventory)
         inspected.append(dive)
-    if format_ is Format.JSON:
+    if format_ is opt.Format.JSON:
         for content in [inventories] if len(dives) > 1 else inventories:
             write_stdout(as_json(content).decode())
     if propose is not None and inspected:
@@ -119,7 +108,7 @@ def _propose(
         log_to_stderr(f"without a value in it: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
 
 
-def _print(inventory: "Inventory", format_: Format, *, is_first: bool) -> None:
+def _print(inventory: "Inventory", format_: opt.Format, *, is_first: bool) -> None:
     from insdvl_replay.cli.screen import in_format
     from insdvl_replay.inspection.survey import inventory_csv, inventory_document
     from insdvl_replay.results.json_report import as_json

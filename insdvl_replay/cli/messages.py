@@ -1,21 +1,34 @@
-"""What the tool prints: results to stdout, everything else to stderr."""
+"""What the tool prints: results to stdout, everything else to stderr; and what an error is told as."""
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Iterable
 from contextlib import suppress
+from typing import Any, Final
 
 import typer
 
-from insdvl_replay.cli.usage import usage_explained
-from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.errors import LogError, Note, UserError, nearest
 from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
 
 OUR_MISTAKE = 4
+USAGE = 2
 
 # typer exports no UsageError, and keeps click inside itself since 0.20: this finds the class wherever it lives.
 UsageError = typer.BadParameter.__mro__[1]
+_IN_OUR_WORDS: Final = (
+    (r"Usage: .*", "missing command"),
+    (r": Value error, ", ": "),
+    (r"Input should be greater than or equal to", "has to be at least"),
+    (r"Input should be less than or equal to", "has to be at most"),
+    (r"Input should be greater than", "has to be above"),
+    (r"Input should be less than", "has to be below"),
+    (r"Input should be a valid integer.*", "needs a whole number"),
+    (r"Input should be a valid number.*", "needs a number"),
+)
+"""Parts of sentences of typer and of what it checks values by, which changed from version to version."""
 
 
 def write_stdout(text: str, *, commands: bool = False) -> None:
@@ -57,18 +70,19 @@ def _hinted(hint: str) -> str:
 
 def typed_verbosity(arguments: Iterable[str]) -> int:
     """Count ``-v`` as it was typed, for failures outside a command."""
-    short = (len(word) - 1 for word in arguments if word.startswith("-v") and set(word[1:]) == {"v"})
+    short = (len(word) - 1 for word in arguments if re.fullmatch("-v+", word))
     return sum(short) + sum(word == "--verbose" for word in arguments)
 
 
 def _explained(error: Exception) -> tuple[int, str, str]:
+    """Return exit code, sentence and hint."""
     if isinstance(error, UserError):
         return error.exit_code, error.message, error.hint
     if isinstance(error, UsageError):
-        return _explained_usage(error)
+        return USAGE, *_explained_usage(error)
     if isinstance(error, OSError):
         found = f"{error.filename or 'stdout'}: cannot be read or written: {error.strerror or error}"
-        return UserError.exit_code, found, "check the path, its permissions, and the room on its disk"
+        return USAGE, found, "check the path, its permissions, and the room on its disk"
     if isinstance(error, MemoryError):
         found = f"there is not enough memory{f': {error}' if str(error) else ''}"
         return LogError.exit_code, found, "run it where a process may have more; `ulimit -v` shows a limit"
@@ -79,13 +93,19 @@ def _explained(error: Exception) -> tuple[int, str, str]:
     )
 
 
-def _explained_usage(error: Exception) -> tuple[int, str, str]:
+def _explained_usage(error: Any) -> tuple[str, str]:
     """Bring the parser's errors into the form of all others."""
+    told = " ".join(str(error.format_message()).split())
+    for pattern, words in _IN_OUR_WORDS:
+        told = re.sub(pattern, words, told)
     context = getattr(error, "ctx", None)
-    sentence, hint = usage_explained(
-        str(error.format_message()),  # type: ignore[attr-defined]
-        context.command_path if context is not None else "insdvl-replay",
-        getattr(error, "option_name", ""),
-        getattr(error, "possibilities", None) or (),
-    )
-    return 2, sentence, hint
+    hint = f"`{context.command_path if context else 'insdvl-replay'} --help` shows what it takes"
+    if option := getattr(error, "option_name", ""):
+        told = re.sub(r" \(Possible options: .*\)| Did you mean .*\?", "", told)
+        meant = nearest(option, getattr(error, "possibilities", None) or ())
+        hint = f"did you mean {meant}?" if meant else hint
+    elif suggested := re.search(r"\. Did you mean '([^']+)'\?$", told):
+        told, hint = told[: suggested.start()], f"did you mean {suggested[1]}?"
+    elif choices := re.search(r"\.? Choose from: ", told):
+        told, hint = told[: choices.start()], f"one of: {told[choices.end() :]}"
+    return told[:1].lower() + told[1:].rstrip("."), hint

@@ -139,15 +139,6 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDR", help="Replay on the dask.distributed cluster at this address."),
 ]
-SchedulerTimeout = Annotated[
-    float,
-    typer.Option(
-        "--scheduler-patience",
-        metavar="S",
-        min=0.0,
-        help="Seconds for which the cluster may be without a worker or an answer.",
-    ),
-]
 Rerun = Annotated[bool, typer.Option("--rerun", help="Replay also dives whose result is unchanged.")]
 Verbose = Annotated[
     int,

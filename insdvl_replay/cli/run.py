@@ -1,55 +1,42 @@
-"""``insdvl-replay run``. The work is in `dives`, which is imported only once there is work to do."""
+"""``insdvl-replay run``. What is heavy to import waits until there is work to do."""
 
+import os
+import sys
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.options import (
-    AllowCode,
-    AllowDamaged,
-    ChosenTables,
-    Color,
-    Colored,
-    ConfigFiles,
-    End,
-    Force,
-    Format,
-    HistoryFormat,
-    Jobs,
-    Logs,
-    OneDive,
-    Preset,
-    Quiet,
-    Rerun,
-    Scheduler,
-    SchedulerTimeout,
-    Settings,
-    Start,
-    Verbose,
-    span_settings,
-)
+from insdvl_replay.cli import options as opt
+from insdvl_replay.core.errors import ConfigError, LogError
+
+if TYPE_CHECKING:
+    from insdvl_replay.batch.jobs import Outcome, ReplayJob
+
+INDEX = "index.html"
 
 
 def run(
-    logs: Logs,
+    logs: opt.Logs,
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
     ] = Path("replay"),
-    config: ConfigFiles = [],  # noqa: B006
-    preset: Preset = None,
-    start: Start = None,
-    end: End = None,
-    settings: Settings = [],  # noqa: B006
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    start: opt.Start = None,
+    end: opt.End = None,
+    settings: opt.Settings = [],  # noqa: B006
     starts: Annotated[
         int | None,
         typer.Option(metavar="K", min=1, help="Run each filter from K drawn starts; 16 unless the settings say."),
     ] = None,
-    format_: Annotated[Format, typer.Option("--format", help="How the tables are printed.")] = Format.TABLE,
-    tables: ChosenTables = [],  # noqa: B006
-    allow_damaged: AllowDamaged = False,
-    allow_code: AllowCode = False,
-    one_dive: OneDive = False,
+    format_: Annotated[opt.Format, typer.Option("--format", help="How the tables are printed.")] = opt.Format.TABLE,
+    tables: opt.ChosenTables = [],  # noqa: B006
+    allow_damaged: opt.AllowDamaged = False,
+    allow_code: opt.AllowCode = False,
+    one_dive: opt.OneDive = False,
     control: Annotated[
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,
@@ -57,17 +44,16 @@ def run(
         bool, typer.Option("--tum", help="Write trajectories for evo, too: filter_NAME.tum and reference.tum.")
     ] = False,
     history: Annotated[
-        HistoryFormat | None, typer.Option("--history", help="Write the whole history of each filter, too.")
+        opt.HistoryFormat | None, typer.Option("--history", help="Write the whole history of each filter, too.")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
-    jobs: Jobs = 1,
-    scheduler: Scheduler = None,
-    scheduler_timeout: SchedulerTimeout = 60.0,
-    rerun: Rerun = False,
-    force: Force = False,
-    verbose: Verbose = 0,
-    quiet: Quiet = False,
-    color: Colored = Color.AUTO,
+    jobs: opt.Jobs = 1,
+    scheduler: opt.Scheduler = None,
+    rerun: opt.Rerun = False,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    quiet: opt.Quiet = False,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> int:
     """Replay dives through the configured filters.
 
@@ -87,27 +73,164 @@ def run(
       insdvl-replay run dive.mcap --tum
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
-    from insdvl_replay.batch.cluster import Cluster
-    from insdvl_replay.batch.jobs import ReplayOptions
-    from insdvl_replay.cli.dives import RunOptions, replay_dives
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+    from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
+    from insdvl_replay.cli.screen import in_format
     from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.plain_text import visible
+    from insdvl_replay.report.document import Only, Part
+    from insdvl_replay.results.chosen_tables import csv_of, json_of, require_tables, tables_named
+    from insdvl_replay.results.dive_document import dive_document, heading
+    from insdvl_replay.results.dive_screen import dive_screen
+    from insdvl_replay.results.dives_screen import dives_screen
+    from insdvl_replay.results.folder import PAGE, result_file
+    from insdvl_replay.results.json_report import Report, encode_report
+    from insdvl_replay.results.overviews import Failure, overview_parts
 
-    if history is HistoryFormat.PARQUET:
-        from insdvl_replay.results.histories import require_parquet
+    if history is opt.HistoryFormat.PARQUET:
+        from insdvl_replay.results.result_files import require_parquet
 
         require_parquet()
+    require_tables(tables)
     drawn = [] if starts is None else [f"evaluation.starts={starts}"]
-    resolved = load_config(preset, config, [*settings, *span_settings(start, end), *drawn], allow_code=allow_code)
-    cluster = None if scheduler is None else Cluster(scheduler, scheduler_timeout)
-    return replay_dives(
-        logs,
-        output,
-        ReplayOptions(
-            resolved,
-            allow_damaged=allow_damaged,
-            control=control,
-            trajectories=tum,
-            history_format=history.value if history else "",
-        ),
-        RunOptions(format_, tuple(tables), one_dive, strict, force, rerun, jobs, cluster, verbose, quiet),
+    given = [*settings, *opt.span_settings(start, end), *drawn]
+    options = ReplayOptions(
+        load_config(preset, config, given, allow_code=allow_code),
+        allow_damaged=allow_damaged,
+        control=control,
+        trajectories=tum,
+        history_format=history.value if history else "",
     )
+    dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
+    alone = len(dives) == 1
+    overviews = {} if alone else _overviews(dives, output, force=force)
+    # The screen has the answer alone; with it, stderr names each result and warning only where it is not the same
+    # terminal.
+    shows_screen = format_ is opt.Format.TABLE and not (tables or verbose or quiet)
+    talks = not (quiet or (shows_screen and sys.stderr.isatty()))
+
+    def json_of_dives(content: "list[Report] | Report") -> bytes:
+        reports = content if isinstance(content, list) else [content]
+        return json_of(reports, tables) if tables else encode_report(content)
+
+    def written(report: Report, target: Path) -> str:
+        parts: Sequence[Part] = [table for chosen in tables for table in tables_named(report, chosen)]
+        if not tables:
+            parts = dive_screen(report, str(target / PAGE)) if shows_screen else dive_document(report)
+        return in_format(format_, lambda: parts, lambda: json_of_dives(report), lambda: csv_of([report], tables))
+
+    reports: list[Report | Failure] = []
+    codes: dict[str, int] = {}
+    unchanged = 0
+    for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun):
+        name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
+        if isinstance(report, Exception):
+            reports.append(Failure(name, str(report)))
+            codes[name] = log_failure(report, verbose)
+            continue
+        reports.append(report)
+        unchanged += outcome.unchanged
+        if talks or (alone and not quiet):
+            log_notes(report.notes, verbose=verbose > 0)
+        if outcome.unchanged and alone and not (quiet or talks):
+            log_to_stderr(f"unchanged {target}")
+        # Of several dives, their screen and what machines read come once all are done.
+        if quiet and format_ is opt.Format.TABLE:
+            write_stdout(f"{visible(heading(report))}\n")
+        elif alone or not (shows_screen or format_ in (opt.Format.JSON, opt.Format.CSV)):
+            write_stdout(written(report, target))
+        if talks:
+            log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
+        codes[name] = 0
+        warnings = [note.code for note in report.notes if note.severity == "warning"]
+        if strict and warnings:
+            found = f"{name}: --strict allows no warnings, found {', '.join(warnings)}"
+            codes[name] = log_failure(
+                LogError(found, "the result is written; leave --strict out to accept it"), verbose
+            )
+    if alone:
+        return max(codes.values())
+
+    output.mkdir(parents=True, exist_ok=True)
+    for path, write in overviews.items():
+        with result_file(path, force=True) as file:
+            file.write_bytes(write(reports))
+        if talks:
+            log_to_stderr(f"wrote {path}")
+    if unchanged and not (quiet or talks):
+        log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
+    done = [report for report in reports if isinstance(report, Report)]
+    if not quiet or format_ in (opt.Format.JSON, opt.Format.CSV):
+        shown = overview_parts(reports)
+        if format_ is opt.Format.TABLE:
+            screen = [] if tables else dives_screen(reports, str(output / INDEX))
+            shown = [Only(("terminal",), tuple(screen))]
+        write_stdout(in_format(format_, lambda: shown, lambda: json_of_dives(done), lambda: csv_of(done, tables)))
+    if failed := [name for name, code in codes.items() if code]:
+        reasons = [report.reason for report in reports if isinstance(report, Failure)]
+        first = f"; the first: {reasons[0]}" if reasons else ""
+        log_to_stderr(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")
+    return max(codes.values())
+
+
+def _overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> "dict[Path, Callable[..., bytes]]":
+    """Return what is written of several dives together; what bears such a name and is none is left alone."""
+    from insdvl_replay.report.page import is_page
+    from insdvl_replay.results.folder import require_replaceable_file
+    from insdvl_replay.results.overviews import evidence_csv, index_page, is_evidence, is_summary, summary_csv
+
+    known = {
+        "summary.csv": (summary_csv, is_summary),
+        "evidence.csv": (evidence_csv, is_evidence),
+        INDEX: (index_page, is_page),
+    }
+    for name, (_, is_own) in known.items():
+        path = output / name
+        for dive in dives:
+            if dive.target == path:
+                raise ConfigError(
+                    f"{dive.name}: its results would bear the name of an overview", "rename it, or replay it alone"
+                )
+        if os.path.lexists(path):
+            if path.is_symlink() or not path.is_file():
+                raise ConfigError(f"{path}: is no file of its own, and is not replaced", f"rm {path}")
+            require_replaceable_file(path, force=force or is_own(path.read_bytes()))
+    return {output / name: write for name, (write, _) in known.items()}
+
+
+def outcomes(
+    dives: "Sequence[ReplayJob]", jobs: int, scheduler: str | None, *, force: bool, rerun: bool
+) -> "Generator[Outcome, None, None]":
+    """Replay what has changed, and show the progress on a terminal."""
+    from insdvl_replay.batch.jobs import known_reports, replay_jobs
+    from insdvl_replay.batch.workers import cluster_pool, local_pool
+    from insdvl_replay.cli.messages import log_notes
+    from insdvl_replay.cli.screen import DivesBar, compiling, spinner
+
+    known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
+    changed = [dive for dive in dives if dive.target not in known]
+    if scheduler is None:
+        runs_code = any(dive.options.config.code for dive in changed)
+        pool = local_pool(max(1, min(jobs, len(changed))), runs_code=runs_code)
+    else:
+        pool = cluster_pool(scheduler)
+    waits_for = compiling() if changed else ""
+    elsewhere = scheduler is not None
+    if not changed:
+        yield from replay_jobs(dives, known, pool, elsewhere=elsewhere)
+        return
+    if len(changed) == 1:
+        with spinner(f"replaying {changed[0].name.name}{waits_for}"):
+            finished = list(replay_jobs(dives, known, pool, elsewhere=elsewhere))
+        yield from finished
+        return
+    with DivesBar(len(changed)) as bar:
+
+        def count(outcome: "Outcome") -> None:
+            bar.advance(failed=isinstance(outcome.result, Exception))
+
+        with closing(replay_jobs(dives, known, pool, count, elsewhere=elsewhere)) as replays:
+            for outcome in replays:
+                with bar.paused():
+                    yield outcome

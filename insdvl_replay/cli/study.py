@@ -5,24 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli.options import (
-    Color,
-    Colored,
-    ConfigFiles,
-    End,
-    Force,
-    Format,
-    Logs,
-    Outages,
-    PlainCommand,
-    Preset,
-    Scenario,
-    Settings,
-    Start,
-    Verbose,
-    outage_spans,
-    span_settings,
-)
+from insdvl_replay.cli import options as opt
 
 if TYPE_CHECKING:
     from insdvl_replay.studies.study_report import StudyReport
@@ -32,7 +15,7 @@ study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
 StudyOutput = Annotated[
     Path, typer.Option("-o", "--output", metavar="DIR", help="Where the study gets a folder of its own.")
 ]
-StudyFormat = Annotated[Format, typer.Option("--format", help="How the tables are printed.")]
+StudyFormat = Annotated[opt.Format, typer.Option("--format", help="How the tables are printed.")]
 
 
 @study.callback()
@@ -40,9 +23,9 @@ def about_studies() -> None:
     """Ask more than one replay can answer; each study writes tables as CSV, and pictures."""
 
 
-@study.command(cls=PlainCommand)
+@study.command(cls=opt.PlainCommand)
 def montecarlo(
-    scenario: Scenario,
+    scenario: opt.Scenario,
     runs: Annotated[int, typer.Option(metavar="N", min=2, help="How many dives to simulate.")] = 100,
     seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all runs; each draws a seed of its own.")] = 1,
     run: Annotated[
@@ -58,19 +41,19 @@ def montecarlo(
             help="How the sensors err: matched (exactly as the first filter believes), fog, tactical or mems.",
         ),
     ] = "matched",
-    outage: Outages = [],  # noqa: B006
+    outage: opt.Outages = [],  # noqa: B006
     jobs: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="Runs at the same time; left out, one for each core.")
     ] = None,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the pictures as PNG, too.")] = False,
-    config: ConfigFiles = [],  # noqa: B006
-    preset: Preset = None,
-    settings: Settings = [],  # noqa: B006
-    format_: StudyFormat = Format.TABLE,
-    force: Force = False,
-    verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: StudyFormat = opt.Format.TABLE,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> None:
     """Simulate a dive many times and hold the filters' uncertainty against their true errors.
 
@@ -92,7 +75,7 @@ def montecarlo(
     from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
 
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
-    outages = outage_spans(outage)
+    outages = opt.outage_spans(outage)
     if run is not None:
         _print(repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu, outages=outages), format_)
         return
@@ -115,24 +98,24 @@ def montecarlo(
     log_to_stderr(f"wrote {target}")
 
 
-@study.command(cls=PlainCommand)
+@study.command(cls=opt.PlainCommand)
 def window(
-    logs: Logs,
+    logs: opt.Logs,
     longest: Annotated[
         int, typer.Option("--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities.")
     ] = 10,
-    start: Start = None,
-    end: End = None,
+    start: opt.Start = None,
+    end: opt.End = None,
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time.")] = 1,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
-    config: ConfigFiles = [],  # noqa: B006
-    preset: Preset = None,
-    settings: Settings = [],  # noqa: B006
-    format_: StudyFormat = Format.TABLE,
-    force: Force = False,
-    verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: StudyFormat = opt.Format.TABLE,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> int:
     """Find the number of past velocities that makes the best acceleration.
 
@@ -153,7 +136,7 @@ def window(
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
 
-    given = [*settings, *span_settings(start, end)]
+    given = [*settings, *opt.span_settings(start, end)]
     resolved, target = load_config(preset, config, given, allow_code=True).without_code(), output / "window"
     dives = find_dives(logs)
     require_replaceable_folder(target, force=force)
@@ -170,21 +153,21 @@ def window(
     return LogError.exit_code if left_out else 0
 
 
-@study.command(cls=PlainCommand)
+@study.command(cls=opt.PlainCommand)
 def observability(
     dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A recorded dive, or a scenario by its name.")],
-    start: Start = None,
-    end: End = None,
+    start: opt.Start = None,
+    end: opt.End = None,
     no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
     output: StudyOutput = Path("study"),
     png: Annotated[bool, typer.Option("--png", help="Draw the picture as PNG, too.")] = False,
-    config: ConfigFiles = [],  # noqa: B006
-    preset: Preset = None,
-    settings: Settings = [],  # noqa: B006
-    format_: StudyFormat = Format.TABLE,
-    force: Force = False,
-    verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: StudyFormat = opt.Format.TABLE,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = opt.Color.AUTO,
 ) -> None:
     """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
 
@@ -203,7 +186,7 @@ def observability(
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.studies.observability import save_observability, study_observability
 
-    resolved = load_config(preset, config, [*settings, *span_settings(start, end)], allow_code=True).without_code()
+    resolved = load_config(preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True).without_code()
     target = output / f"observability-{dive_name(Path(dive))}"
     require_replaceable_folder(target, force=force)
     with spinner(f"stacking the measurements{compiling()}"):
@@ -215,7 +198,7 @@ def observability(
     log_to_stderr(f"wrote {target}")
 
 
-def _print(report: "StudyReport", format_: Format) -> None:
+def _print(report: "StudyReport", format_: opt.Format) -> None:
     from insdvl_replay.cli.messages import write_stdout
     from insdvl_replay.cli.screen import in_format
     from insdvl_replay.studies.study_report import study_csv, study_document, study_json

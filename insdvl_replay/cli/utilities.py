@@ -1,29 +1,32 @@
-"""``simulate``, ``config``, ``schema`` and ``compile``: what prepares replays, and is prepared for them."""
+"""``simulate``, ``config``, ``schema``, ``compile`` and ``figure``: what prepares replays, and what follows them."""
 
 import math
+import re
 import time
+from collections.abc import Callable
+from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_to_stderr, write_stdout
-from insdvl_replay.cli.options import Force, Outages, Preset, Scenario, Settings, Verbose, grade_names, outage_spans
-from insdvl_replay.core.errors import ConfigError, require_known
+from insdvl_replay.core.errors import ConfigError, hint_for, require_known
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.states import SENSORS
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from insdvl_replay.sim.sensor_errors import SensorErrors
 
-    from insdvl_replay.sim.sensor_errors import LostBeam, SensorErrors
-
+_Value = TypeVar("_Value")
 _SHORT_S = 10.0
+NARROWEST_MM, WIDEST_MM = 20.0, 1000.0
 
 
 def simulate(
-    scenario: Scenario,
+    scenario: opt.Scenario,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The MCAP file to write.")],
     seed: Annotated[
         int, typer.Option(metavar="N", help="Of every sensor error; the same seed gives the same bytes.")
@@ -33,9 +36,11 @@ def simulate(
     ] = None,
     imu: Annotated[
         str,
-        typer.Option(metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=grade_names),
+        typer.Option(
+            metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=opt.grade_names
+        ),
     ] = "fog",
-    outage: Outages = [],  # noqa: B006
+    outage: opt.Outages = [],  # noqa: B006
     lost_beam: Annotated[
         list[str],
         typer.Option(
@@ -58,8 +63,8 @@ def simulate(
     ] = "0,0,0",
     dvl_delay: Annotated[float, typer.Option(metavar="S", help="Seconds by which pings are stamped too late.")] = 0.0,
     dvl_scale: Annotated[float, typer.Option(metavar="TIMES", help="What the DVL reads over the velocity.")] = 1.0,
-    force: Force = False,
-    verbose: Verbose = 0,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
 ) -> None:
     """Write a simulated dive as a log.
 
@@ -76,6 +81,11 @@ def simulate(
     from insdvl_replay.logs.writing.dive_log import write_dive
     from insdvl_replay.results.folder import result_file
     from insdvl_replay.sim.dive import simulate_dive
+    from insdvl_replay.sim.sensor_errors import LostBeam
+
+    def lost(text: str) -> LostBeam:
+        beam, start_s, end_s = text.split(":")
+        return LostBeam(int(beam), float(start_s), float(end_s))
 
     with result_file(output, force=force) as path, spinner(f"simulating {scenario}"):
         dive = simulate_dive(
@@ -83,8 +93,11 @@ def simulate(
             seed=seed,
             duration_s=duration,
             grade=imu,
-            outages=outage_spans(outage),
-            lost_beams=[_lost_beam(text) for text in lost_beam],
+            outages=opt.outage_spans(outage),
+            lost_beams=[
+                _parsed(lost, f"--lost-beam {text}", text, "of the form BEAM:START:END", "--lost-beam 2:120:180")
+                for text in lost_beam
+            ],
             sensors=_sensors(sensor),
             lever_arm_m=_vector("--lever-arm", lever_arm),
             mounting_rpy_deg=_vector("--mounting", mounting),
@@ -95,63 +108,56 @@ def simulate(
     log_to_stderr(f"wrote {output}")
 
 
+def _parsed(parse: Callable[[str], _Value], option: str, text: str, form: str, example: str) -> _Value:
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise ConfigError(f"{option}: is not {form}", f"for example {example}") from error
+
+
 def _vector(option: str, text: str) -> tuple[float, float, float]:
-    try:
+    def parse(text: str) -> tuple[float, float, float]:
         x, y, z = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise ConfigError(f"{option} {text}: is not three numbers", f"for example {option} 0.3,-0.1,0.2") from error
-    if not all(map(math.isfinite, (x, y, z))):
-        raise ConfigError(f"{option} {text}: is not finite", f"for example {option} 0.3,-0.1,0.2")
-    return x, y, z
+        return x, y, z
+
+    example = f"{option} 0.3,-0.1,0.2"
+    vector = _parsed(parse, f"{option} {text}", text, "three numbers", example)
+    if not all(map(math.isfinite, vector)):
+        raise ConfigError(f"{option} {text}: is not finite", f"for example {example}")
+    return vector
 
 
-def _lost_beam(text: str) -> "LostBeam":
-    from insdvl_replay.sim.sensor_errors import LostBeam
+def _sensors(texts: list[str]) -> "dict[str, SensorErrors]":
+    from insdvl_replay.sim.sensor_errors import SIMULATED, SensorErrors
 
-    try:
-        beam, start_s, end_s = text.split(":")
-        return LostBeam(int(beam), float(start_s), float(end_s))
-    except ValueError as error:
-        raise ConfigError(
-            f"--lost-beam {text}: is not of the form BEAM:START:END", "for example --lost-beam 2:120:180"
-        ) from error
-
-
-def _sensors(texts: "Sequence[str]") -> "dict[str, SensorErrors]":
     found: dict[str, SensorErrors] = {}
     for text in texts:
-        name, errors = _sensor(text)
+        name, _, size = text.partition("=")
+        require_known("--sensor", name, SIMULATED)
+        sd, _, rate_hz = size.partition("@")
+        try:
+            errors = SensorErrors(float(sd), float(rate_hz or 1.0))
+        except ValueError as error:
+            raise ConfigError(f"--sensor {text}: is not of the form NAME=SD[@HZ]", f"--sensor {name}=0.1@4") from error
+        if not (errors.sd > 0.0 and math.isfinite(errors.sd)):
+            unit = SIMULATED[name].unit
+            raise ConfigError(f"--sensor {text}: a noise of {sd} {unit} cannot be", f"--sensor {name}=0.1")
         if name in found:
             raise ConfigError(f"--sensor {text}: there is a {name} already", "leave one of them out")
         found[name] = errors
     return found
 
 
-def _sensor(text: str) -> "tuple[str, SensorErrors]":
-    from insdvl_replay.sim.sensor_errors import SIMULATED, SensorErrors
-
-    name, _, size = text.partition("=")
-    require_known("--sensor", name, SIMULATED)
-    sd, _, rate_hz = size.partition("@")
-    try:
-        errors = SensorErrors(float(sd), float(rate_hz or 1.0))
-    except ValueError as error:
-        raise ConfigError(f"--sensor {text}: is not of the form NAME=SD[@HZ]", f"--sensor {name}=0.1@4") from error
-    if not (errors.sd > 0.0 and math.isfinite(errors.sd)):
-        raise ConfigError(f"--sensor {text}: a noise of {sd} {SIMULATED[name].unit} cannot be", f"--sensor {name}=0.1")
-    return name, errors
-
-
 def config(
-    preset: Preset = None,
+    preset: opt.Preset = None,
     file: Annotated[
         list[Path],
         typer.Option(
             "-c", "--config", "--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."
         ),
     ] = [],  # noqa: B006
-    settings: Settings = [],  # noqa: B006
-    verbose: Verbose = 0,
+    settings: opt.Settings = [],  # noqa: B006
+    verbose: opt.Verbose = 0,
 ) -> None:
     """Print the resolved settings as commented TOML.
 
@@ -175,7 +181,7 @@ def schema(
             help="config, report, inspection, study, comparison, check, calibration, or a message type; left out: all.",
         ),
     ] = None,
-    verbose: Verbose = 0,
+    verbose: opt.Verbose = 0,
 ) -> None:
     """Print a JSON schema, or the definition of a ROS 2 message.
 
@@ -185,27 +191,23 @@ def schema(
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
     from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
+    from insdvl_replay.core.errors import LogError
 
     if name is None:
         write_stdout("".join(f"{known}\n" for known in SCHEMAS))
     elif name in SCHEMAS:
         write_stdout(json_schema(name).decode())
     else:
-        write_stdout(_message_definition(name, SCHEMAS))
+        from insdvl_replay.logs.encoding.ros2msg import definition_text
+
+        known = [*SCHEMAS, "a message type such as insdvl_msgs/msg/NavSolution"]
+        try:
+            write_stdout(definition_text(name))
+        except LogError as error:
+            raise ConfigError(f"schema '{name}' is not known", hint_for(name, known, most=len(known))) from error
 
 
-def _message_definition(name: str, others: "Collection[str]") -> str:
-    from insdvl_replay.core.errors import LogError, hint_for
-    from insdvl_replay.logs.encoding.ros2msg import definition_text
-
-    known = [*others, "a message type such as insdvl_msgs/msg/NavSolution"]
-    try:
-        return definition_text(name)
-    except LogError as error:
-        raise ConfigError(f"schema '{name}' is not known", hint_for(name, known, most=len(known))) from error
-
-
-def compile_(verbose: Verbose = 0) -> None:
+def compile_(verbose: opt.Verbose = 0) -> None:
     """Compile the filter ahead of the first run, which else does it.
 
     The code is kept in ~/.cache/insdvl-replay, or where INSDVL_REPLAY_CACHE says. Runs with the same variable find it
@@ -217,28 +219,97 @@ def compile_(verbose: Verbose = 0) -> None:
       insdvl-replay compile
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
     """
+    from insdvl_replay.core.config import Config
     from insdvl_replay.core.runtime import cache_folder, cache_problem, is_warm
 
-    folder, start_s = cache_folder(), time.perf_counter()
+    folder, start_s, was_warm = cache_folder(), time.perf_counter(), is_warm()
     if problem := cache_problem():
         raise ConfigError(
             f"compiled code cannot be kept: {problem}", "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile"
         )
-    was_warm = is_warm()
-    with TemporaryDirectory() as name:
-        _replay_something(Path(name) / "dive.mcap")
-    took_s = time.perf_counter() - start_s
-    write_stdout(
-        visible(f"was compiled already: {folder}" if was_warm else f"compiled in {took_s:.1f} s: {folder}") + "\n"
-    )
-
-
-def _replay_something(log: Path) -> None:
-    """Go through all that a run compiles."""
-    from insdvl_replay.core.config import Config
     from insdvl_replay.logs import write_dive
     from insdvl_replay.replay import replay_log
     from insdvl_replay.sim.dive import simulate_dive
 
-    write_dive(log, simulate_dive("straight", seed=1, duration_s=_SHORT_S))
-    replay_log(log, Config())
+    with TemporaryDirectory() as name:  # goes through all that a run compiles
+        log = Path(name, "dive.mcap")
+        write_dive(log, simulate_dive("straight", seed=1, duration_s=_SHORT_S))
+        replay_log(log, Config())
+    took = f"compiled in {time.perf_counter() - start_s:.1f} s"
+    write_stdout(visible(f"{'was compiled already' if was_warm else took}: {folder}") + "\n")
+
+
+class Kind(StrEnum):
+    """What is drawn."""
+
+    ERROR = "error"
+    TRACK = "track"
+    SIGMA = "sigma"
+    NIS = "nis"
+    COASTING = "coasting"
+    CONVERGENCE = "convergence"
+
+
+class PictureFormat(StrEnum):
+    """The format of a picture."""
+
+    PDF = "pdf"
+    SVG = "svg"
+    PNG = "png"
+    PGF = "pgf"
+
+
+def figure(
+    result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result folder.")],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="error, track, sigma, nis, coasting or convergence.")],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: KIND and the format, here.")
+    ] = None,
+    format_: Annotated[PictureFormat, typer.Option("--format", help="pgf needs LaTeX.")] = PictureFormat.PDF,
+    width: Annotated[str, typer.Option(metavar="MM", help="Of the picture, such as 88mm for a column.")] = "88mm",
+    states: Annotated[
+        str, typer.Option(metavar="NAMES", help="Of sigma: states, or beginnings of their names, such as ba,bg.")
+    ] = "",
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+) -> None:
+    """Draw what a paper prints of a result: a picture that stands on its own.
+
+    \b
+    Example:
+      insdvl-replay figure replay/dive error
+      insdvl-replay figure replay/dive sigma --states ba,bg --width 180mm --format svg -o biases.svg
+    """
+    from insdvl_replay.cli.messages import log_to_stderr
+    from insdvl_replay.core.stored_report import StoredReport
+    from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
+    from insdvl_replay.results.paper_figures import Drawn, chosen_states, draw_figure
+    from insdvl_replay.results.stored_results import read_one_result
+    from insdvl_replay.results.trajectory import read_trajectory
+
+    if states and kind is not Kind.SIGMA:
+        raise ConfigError(
+            f"--states {states}: chooses what sigma draws, and {kind.value} draws no states", "leave it out"
+        )
+    chosen, width_mm = chosen_states(states), _width_mm(width)
+    folder, report = read_one_result(result, StoredReport)
+    trajectory = read_trajectory(folder / TRAJECTORY_FILE)
+    if trajectory is None:
+        raise ConfigError(f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
+    target = output or Path(f"{kind.value}.{format_.value}")
+    if target.suffix != f".{format_.value}":
+        ending = target.suffix.lstrip(".")
+        known = list(PictureFormat)
+        hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_.value}')}"
+        raise ConfigError(f"{target}: does not end in .{format_.value}", hint)
+    with result_file(target, force=force) as path:
+        drawn = Drawn(trajectory, report.tables.get("coasting", []), chosen)
+        draw_figure(kind.value, drawn, path, width_mm=width_mm)
+    log_to_stderr(f"wrote {target}")
+
+
+def _width_mm(text: str) -> float:
+    found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(?:mm)?", text)
+    if found is None or not NARROWEST_MM <= float(found[1]) <= WIDEST_MM:
+        raise ConfigError(f"--width {text}: is no width from {NARROWEST_MM:g} to {WIDEST_MM:g} mm", "--width 88mm")
+    return float(found[1])

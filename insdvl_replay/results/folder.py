@@ -1,11 +1,14 @@
-"""Results appear all at once or not at all: they are written aside and renamed into place when complete."""
+"""Results on disk: a result appears all at once or not at all, and is known by its files and their digests.
+
+It is written in a hidden folder next to its place, and renamed when it is complete.
+"""
 
 import hashlib
-import os
 import shutil
 import tempfile
+import time
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,90 +17,34 @@ import msgspec
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.plain_text import read_regular
 from insdvl_replay.core.tables import TABLES
-from insdvl_replay.results.workspace import (
-    NAME_A_FILE,
-    NEW,
-    OLD,
-    clear_leftovers,
-    open_in_place,
-    replaceable_file,
-    workspace_beside,
-)
 
-REPORT: Final = "report.json"
-"""The file that holds the list."""
+COMPLETE: Final = "report.json"
+"""The file by which a result folder is known, written last; it lists the others."""
+PAGE: Final = "report.html"
+REPLAY_LOG: Final = "replay.mcap"
+"""The histories; what checks alone need does without."""
+TRAJECTORY_FILE: Final = "trajectory.npz"
+"""Every filter once a second."""
+REFERENCE_TRAJECTORY: Final = "reference.tum"
+LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")
+"""How viewers show replay.mcap."""
+DIVE_FILES: Final = (
+    *(f"{layout.name}.csv" for layout in TABLES),
+    *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
+)
+"""All files of the result of a dive."""
+TOOL: Final = "insdvl-replay"
 NOT_JSON: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """Raised where bytes are decoded that are no JSON of ours: cut, of other letters, or nested without end."""
 _MOST_BYTES: Final = 1 << 30
 """Of a file of a result that is read into memory: reports of long dives have some MB."""
 _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
-
-
-def list_files(folder: Path) -> None:
-    """Write into the report of a finished result which files it has, and the SHA-256 of each."""
-    report = folder / REPORT
-    content = msgspec.json.decode(report.read_bytes())
-    files = {path.name: _digest(path) for path in sorted(folder.iterdir()) if path != report}
-    content["files"] = files | {REPORT: _digest_of_report(content | {"files": files})}
-    report.write_bytes(msgspec.json.format(msgspec.json.encode(content)) + b"\n")
-
-
-def damaged_files(folder: Path) -> list[str]:
-    """Name the files of a result that are not as they were written, or not there; the report alone if it lists none."""
-    content = msgspec.json.decode(read_file(folder / REPORT))
-    files: dict[str, str] = dict(content.get("files", {}))
-    of_report = files.pop(REPORT, "")
-    damaged = [name for name, digest in files.items() if not _is_whole(folder / name, digest)]
-    content["files"] = files
-    return damaged if _digest_of_report(content) == of_report else [REPORT, *damaged]
-
-
-def result_digest(folder: Path) -> str:
-    """Return the SHA-256 by which a result is known, without the time of day; empty where there is none."""
-    try:
-        return msgspec.json.decode(read_file(folder / REPORT), type=_Label).files.get(REPORT, "")
-    except (OSError, *NOT_JSON):
-        return ""
-
-
-def read_file(path: Path) -> bytes:
-    """Read a file of a result; see `read_regular`."""
-    return read_regular(path, _MOST_BYTES)
-
-
-def _is_whole(path: Path, digest: str) -> bool:
-    return path.is_file() and _digest(path) == digest
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _digest_of_report(content: dict[str, Any]) -> str:
-    tool = {key: value for key, value in content["tool"].items() if key not in _TIME_OF_DAY}
-    return hashlib.sha256(msgspec.json.encode(content | {"tool": tool})).hexdigest()
-
-
-COMPLETE = REPORT
-"""The file by which a result folder is known, written last."""
-PAGE = "report.html"
-"""The page that shows a result."""
-REPLAY_LOG = "replay.mcap"
-"""The histories; what checks alone need does without."""
-TRAJECTORY_FILE = "trajectory.npz"
-"""Every filter once a second."""
-LAYOUT_FILES = ("foxglove.json", "plotjuggler.xml")
-"""How viewers show replay.mcap."""
-DIVE_FILES = (
-    *(f"{layout.name}.csv" for layout in TABLES),
-    *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
-)
-"""All files of the result of a dive."""
-TOOL = "insdvl-replay"
-"""How a report says whose it is."""
-REFERENCE_TRAJECTORY = "reference.tum"
-"""The reference's trajectory, where trajectories are asked for."""
+_MARK: Final = "insdvl-replay-"
+"""In the names of hidden folders, behind a dot."""
+_LEFT_FOR_S: Final = 86_400.0
+"""A hidden folder that nobody has changed for a day was left by a killed run."""
+_NAME_A_FILE: Final = "give the name of a file"
+_ANOTHER_PLACE: Final = "choose another place with -o"
 
 
 class _Label(msgspec.Struct):
@@ -119,90 +66,118 @@ def trajectory_file(name: str) -> str:
     return f"filter_{name}.tum"
 
 
+def read_file(path: Path) -> bytes:
+    """Read a file of a result; see `read_regular`."""
+    return read_regular(path, _MOST_BYTES)
+
+
+# --- Digests of the files
+
+
+def list_files(folder: Path) -> None:
+    """Write into the report of a finished result which files it has, and the SHA-256 of each."""
+    report = folder / COMPLETE
+    content = msgspec.json.decode(report.read_bytes())
+    files = {path.name: _digest(path) for path in sorted(folder.iterdir()) if path != report}
+    content["files"] = files | {COMPLETE: _digest_of_report(content | {"files": files})}
+    report.write_bytes(msgspec.json.format(msgspec.json.encode(content)) + b"\n")
+
+
+def damaged_files(folder: Path) -> list[str]:
+    """Name the files of a result that are not as they were written, or not there; the report alone if it lists none."""
+    content = msgspec.json.decode(read_file(folder / COMPLETE))
+    files: dict[str, str] = dict(content.get("files", {}))
+    of_report = files.pop(COMPLETE, "")
+    damaged = [name for name, digest in files.items() if _digest(folder / name) != digest]
+    content["files"] = files
+    return damaged if _digest_of_report(content) == of_report else [COMPLETE, *damaged]
+
+
+def _digest(path: Path) -> str:
+    if not path.is_file():
+        return ""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digest_of_report(content: dict[str, Any]) -> str:
+    """Digest a report without the time of day."""
+    tool = {key: value for key, value in content["tool"].items() if key not in _TIME_OF_DAY}
+    return hashlib.sha256(msgspec.json.encode(content | {"tool": tool})).hexdigest()
+
+
+# --- Writing
+
+
 @contextmanager
-def result_folder(target: Path, *, force: bool = False, before: str | None = None) -> Iterator[Path]:
-    """Return a new folder to write into, which becomes the target when the block ends without an exception.
+def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
+    """Yield a new folder to write into, which becomes the target when the block ends without an exception.
 
-    On any exception, an interruption included, nothing of it remains, and an older result stays as it was. The report
-    in it is made to list its files.
-
-    Parameters
-    ----------
-    target : Path
-        The result folder. Folders above it are made.
-    force : bool
-        Replace an older result.
-    before : str, optional
-        The `result_digest` of the older result that may be replaced; left out: of any.
-
-    Yields
-    ------
-    Path
-        An empty folder on the same file system.
-
-    Raises
-    ------
-    ConfigError
-        The target exists and must not be replaced, another run has written a different result there meanwhile, or the
-        disk refuses.
+    On any exception, an interruption included, nothing of it remains, and an older result stays as it was. With
+    ``force`` an older result is replaced. The report in the folder is made to list its files.
     """
-    clear_leftovers(target.parent)  # an older result may lie in them
     require_replaceable_folder(target, force=force)
-    with workspace_beside(target) as workspace:
-        yield workspace / NEW
-        list_files(workspace / NEW)
+    with _workspace(target) as workspace:
+        new, old = workspace / "new", workspace / "old"
+        new.mkdir()
+        yield new
+        list_files(new)
         require_replaceable_folder(target, force=force)
-        # What is moved aside first cannot change any more. If it is not replaced, the workspace puts it back.
-        if target.exists():
-            target.rename(workspace / OLD)
-        may_replace = before is None or result_digest(workspace / OLD) in (before, result_digest(workspace / NEW))
         try:
-            if may_replace:
-                (workspace / NEW).rename(target)
-        except OSError:
-            if not target.exists():
-                raise
-            may_replace = False
-        if not may_replace:
-            raise ConfigError(
-                f"{target}: another run has written a different result there meanwhile, which stays",
-                "choose another folder with -o, or run it again",
-            )
+            if target.exists():
+                target.rename(old)
+            new.rename(target)
+        finally:
+            if old.exists() and not target.exists():
+                old.rename(target)
 
 
 @contextmanager
 def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """Return a path to write to, which becomes the target when the block ends without an exception.
+    """Yield a path to write to, which becomes the target when the block ends without an exception.
 
-    Parameters
-    ----------
-    target : Path
-        The file, or a link to it, which stays. What is no file, as a device or a named pipe, is never replaced: the
-        bytes are written to it.
-    force : bool
-        Replace an older file.
-
-    Yields
-    ------
-    Path
-        A path on the same file system, where no file is yet.
-
-    Raises
-    ------
-    ConfigError
-        The target exists and must not be replaced, is a folder, a disk or a link that leads nowhere, its folder is not
-        there, or the disk refuses.
+    A link to a file stays. What is no file, as a device or a named pipe, is never replaced: the bytes go into it.
     """
     require_replaceable_file(target, force=force)
-    file = replaceable_file(target)
-    if file is None:
-        with _copied_into(target) as path:
-            yield path
-        return
-    with workspace_beside(file) as workspace:
-        yield workspace / NEW / file.name
+    file, in_place = target.resolve(), target.exists() and not target.is_file()
+    with _workspace(Path(tempfile.gettempdir(), file.name) if in_place else file) as folder:
+        path = folder / file.name
+        yield path
         require_replaceable_file(target, force=force)
-        (workspace / NEW / file.name).replace(file)
+        if in_place:
+            with path.open("rb") as source, target.open("wb") as sink:
+                shutil.copyfileobj(source, sink)
+        else:
+            path.replace(file)
+
+
+@contextmanager
+def _workspace(target: Path) -> Iterator[Path]:
+    """Yield a hidden folder next to the target, and remove it with all that it then holds; folders above are made."""
+    made = [parent for parent in target.parents if not parent.exists()]
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(target.parent)
+        folder = Path(tempfile.mkdtemp(prefix=f".{_MARK}", dir=target.parent))
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+            for parent in made:
+                with suppress(OSError):  # no longer empty, or never made
+                    parent.rmdir()
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written: {error.strerror or error}", _ANOTHER_PLACE) from error
+
+
+def _remove_leftovers(folder: Path) -> None:
+    for path in folder.glob(f".{_MARK}*"):
+        with suppress(OSError):
+            if time.time() - path.stat().st_mtime > _LEFT_FOR_S:
+                shutil.rmtree(path, ignore_errors=True)
+
+
+# --- What is there already
 
 
 def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
@@ -211,8 +186,12 @@ def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
     With ``force`` an older result may be replaced, if the folder holds its files alone. Anything else that bears the
     name may not: it is somebody's work.
     """
-    if not os.path.lexists(target):
+    try:
+        target.lstat()
+    except (FileNotFoundError, NotADirectoryError):
         return
+    except OSError as error:  # such as too long a name
+        raise ConfigError(f"{target}: cannot be written: {error.strerror}", _ANOTHER_PLACE) from error
     own = _files_of_result(target)
     if own is None:
         raise ConfigError(f"{target}: exists and is not a result folder", "choose another folder with -o")
@@ -226,13 +205,28 @@ def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
         )
 
 
+def require_replaceable_file(target: Path, *, force: bool = False) -> None:
+    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced."""
+    try:
+        exists = target.exists()
+        if not exists and target.is_symlink():
+            raise ConfigError(f"{target}: is a link to {target.readlink()}, which is not there", f"rm {target}")
+        if not exists and not target.parent.is_dir():
+            raise ConfigError(f"{target}: there is no folder {target.parent}", f"mkdir -p {target.parent}")
+        if target.is_dir():
+            raise ConfigError(f"{target}: is a {'link to a ' * target.is_symlink()}folder", _NAME_A_FILE)
+        if target.is_block_device():
+            raise ConfigError(f"{target}: is a disk", _NAME_A_FILE)
+        if target.is_file() and not force:
+            raise ConfigError(f"{target}: exists", "choose another name, or replace it with --force")
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot be written: {error.strerror}", _NAME_A_FILE) from error
+
+
 def is_result(folder: Path) -> bool:
     """Return whether a folder holds a result, so that the replay in it is no dive.
 
-    Returns
-    -------
-    bool
-        Also where its report is damaged, but not where it names another tool: that may lie beside logs.
+    A damaged report counts; one that names another tool does not: it may be next to logs.
     """
     if not (folder / COMPLETE).is_file():
         return False
@@ -255,29 +249,6 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     if label.tool.get("name") == TOOL:
         trajectories = map(trajectory_file, [label.baseline, *label.filters])
         return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
-    needed = set(DIVE_FILES) - {
-        REPLAY_LOG,
-        *LAYOUT_FILES,
-        TRAJECTORY_FILE,
-    }  # which checks, and early versions, do without
+    # Checks, and early versions, do without these.
+    needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None
-
-
-def require_replaceable_file(target: Path, *, force: bool = False) -> None:
-    """Raise a ConfigError if a file cannot be written, or exists and may not be replaced."""
-    file = replaceable_file(target)
-    if file is not None and file.exists() and not force:
-        raise ConfigError(f"{target}: exists", "choose another name, or replace it with --force")
-
-
-@contextmanager
-def _copied_into(target: Path) -> Iterator[Path]:
-    """Return a path to write to, whose bytes go into what is there already when the block ends without an exception."""
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / target.name
-            yield path
-            with path.open("rb") as source, open_in_place(target) as sink:
-                shutil.copyfileobj(source, sink)
-    except OSError as error:
-        raise ConfigError(f"{target}: cannot be written: {error.strerror or error}", NAME_A_FILE) from error

@@ -1,121 +1,72 @@
-"""A replay on disk: the files of a result folder."""
+"""A replay on disk: the files of a result folder, and histories and trajectories for other tools."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from insdvl_replay import __version__, logs
 from insdvl_replay.core.config_file import render_toml
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, seconds
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import WITHHELD, is_whole
 from insdvl_replay.core.runtime import report_stage
-from insdvl_replay.core.states import DVL_AIDING
-from insdvl_replay.core.tables import ConsistencyRow, each_table
+from insdvl_replay.core.states import DEG, DEG_PER_HOUR, DVL_AIDING, MG, STATES
+from insdvl_replay.core.tables import each_table
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
+from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.replay import Replay
-from insdvl_replay.report.csv_tables import structs_csv
+from insdvl_replay.report.csv_tables import structs_csv, table_csv
 from insdvl_replay.results.dive_document import dive_page
 from insdvl_replay.results.dive_figures import replay_coverage, replay_figures, replay_first_panels
 from insdvl_replay.results.dive_tables import NO_REFERENCE, has_reference
-from insdvl_replay.results.folder import PAGE, REFERENCE_TRAJECTORY, REPLAY_LOG, TRAJECTORY_FILE, trajectory_file
-from insdvl_replay.results.histories import write_history
+from insdvl_replay.results.folder import (
+    COMPLETE,
+    PAGE,
+    REFERENCE_TRAJECTORY,
+    REPLAY_LOG,
+    TRAJECTORY_FILE,
+    history_file,
+    trajectory_file,
+)
 from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.results.viewer_layouts import viewer_layouts
 
+if TYPE_CHECKING:
+    import pandas as pd
 
-def save_trajectories(replay: Replay, folder: Path) -> None:
-    """Write the trajectory of each filter, and of the reference inside the replay, if its positions are known.
-
-    All count from where the baseline starts, and all are of the IMU.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists; its other files are left alone.
-    """
-    origin = replay.histories[0].position[0]
-    for history in replay.histories:
-        text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
-        (folder / trajectory_file(history.filter)).write_bytes(text)
-    reference = replay.dive.reference
-    if reference is None:
-        return
-    inside = (reference.time_ns >= replay.start_ns) & (reference.time_ns <= replay.end_ns)
-    text = tum_trajectory(reference.time_ns[inside], reference.position[inside], reference.mat_nb[inside], origin)
-    if text:
-        (folder / REFERENCE_TRAJECTORY).write_bytes(text)
-
-
-def save_histories(replay: Replay, folder: Path, format_: str) -> None:
-    """Write the whole history of each filter, as CSV or Parquet."""
-    for history in replay.histories:
-        write_history(history, folder, format_)
-
-
-def tum_trajectory(time_ns: TimeNs, position: Floats, mat_nb: Floats, origin: Floats) -> bytes:
-    """Write a trajectory.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-    position : ndarray, shape (k, 3)
-        Latitude rad, longitude rad, height m.
-    mat_nb : ndarray, shape (k, 3, 3)
-        NaN where no attitude is known.
-    origin : ndarray, shape (3,)
-        Position from which east, north and up are counted.
-
-    Returns
-    -------
-    bytes
-        Times as they are, to the nanosecond; forward-port-up to east-north-up. The format knows no missing positions:
-        times without one have no line. A missing attitude is NaN, which evo takes where it compares positions.
-    """
-    known = np.isfinite(position).all(axis=1)
-    columns = np.hstack([east_north_up_m(position[known], origin), quat_enu_flu(mat_nb[known])])
-    return "".join(_lines(time_ns[known].tolist(), columns.tolist())).encode()
-
-
-def _lines(times_ns: Iterable[int], rows: Iterable[Iterable[float]]) -> Iterable[str]:
-    for time_ns, row in zip(times_ns, rows, strict=True):
-        second, nanosecond = divmod(time_ns, NS_PER_S)
-        yield f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n"
+CSV, PARQUET = "csv", "parquet"
+_AXES: Final = ("x", "y", "z")
 
 
 def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None:
-    """Write a replay's files into an empty folder; the same replay gives the same bytes.
+    """Write a replay's files into a folder, whose other files are left alone; the same replay gives the same bytes.
 
-    Parameters
-    ----------
-    folder : Path
-        Exists; its other files are left alone.
-    histories : bool
-        Whether to write replay.mcap, by far the largest file, and the layouts for its viewers.
+    Without histories there is no replay.mcap, by far the largest file, and no layout for its viewers.
     """
     report_stage("writing the results")
     settings = render_toml(replay.config)
     report = build_report(
-        replay.dive,
-        replay.config,
-        replay.tables,
-        replay.verdicts,
-        replay.notes,
-        replay.start_ns,
-        replay.end_ns,
+        replay.dive, replay.config, replay.tables, replay.verdicts, replay.notes, replay.start_ns, replay.end_ns,
         this_tool(),
-    )
+    )  # fmt: skip
     for layout, rows in each_table(replay.tables):
         (folder / f"{layout.name}.csv").write_text(structs_csv(layout.row, rows), "utf-8")
     if histories:
+        # The DVL's velocity and derived acceleration as the first filter that is aided by each met them.
+        measured: dict[str, tuple[TimeNs, Floats]] = {}
+        for innovations in (innovations for history in replay.histories for innovations in history.innovations):
+            if innovations.measurement in DVL_AIDING:
+                measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured))
         logs.write_replay(
             folder / REPLAY_LOG,
             dive=replay.dive,
             histories=replay.histories,
-            dvl=_measured(replay.histories),
+            dvl=measured,
             errors=replay.errors,
             tables=replay.tables,
             notes=replay.notes,
@@ -129,23 +80,13 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     (folder / "run.log").write_text(run_log(report), "utf-8")
     report_stage("drawing the report")
     strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
-    (folder / PAGE).write_bytes(
-        dive_page(report, replay_first_panels(replay), replay_figures(replay), strips, settings)
-    )
-    (folder / "report.json").write_bytes(encode_report(report))
-
-
-def _measured(histories: tuple[History, ...]) -> dict[str, tuple[TimeNs, Floats]]:
-    """Return the DVL's velocity and derived acceleration as the first filter that is aided by each met them."""
-    measured: dict[str, tuple[TimeNs, Floats]] = {}
-    for history in histories:
-        for innovations in (one for one in history.innovations if one.measurement in DVL_AIDING):
-            measured.setdefault(innovations.measurement, (innovations.valid_ns, innovations.measured))
-    return measured
+    page = dive_page(report, replay_first_panels(replay), replay_figures(replay), strips, settings)
+    (folder / PAGE).write_bytes(page)
+    (folder / COMPLETE).write_bytes(encode_report(report))
 
 
 def run_log(report: Report) -> str:
-    """Write down what was read and noticed, a line each; no time of day, so that it can be compared."""
+    """Return what was read and noticed, a line each; no time of day, so that it can be compared."""
     return "".join(f"{visible(line)}\n" for line in _log_lines(report))
 
 
@@ -158,10 +99,12 @@ def _log_lines(report: Report) -> Iterator[str]:
         yield f"channel {channel.topic} ({channel.type_name}, {channel.encoding}): {channel.messages} messages, {role}"
     yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
     for row in report.tables.consistency:
-        if is_whole(row.measurement):
-            yield f"filter {row.filter}: {_counts(row)}"
-    for candidate in report.filters.values():
-        yield candidate.verdict
+        if row.measurement.startswith(WITHHELD):
+            sensor = row.measurement.removeprefix(WITHHELD)
+            yield f"filter {row.filter}: {row.rejected} readings of {sensor} withheld, and compared alone"
+        elif is_whole(row.measurement):
+            yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
+    yield from (candidate.verdict for candidate in report.filters.values())
     if not has_reference(report):
         yield NO_REFERENCE
     for note in report.notes:
@@ -169,7 +112,76 @@ def _log_lines(report: Report) -> Iterator[str]:
         yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"
 
 
-def _counts(row: ConsistencyRow) -> str:
-    if row.measurement.startswith(WITHHELD):
-        return f"{row.rejected} readings of {row.measurement.removeprefix(WITHHELD)} withheld, and compared alone"
-    return f"{row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
+def save_trajectories(replay: Replay, folder: Path) -> None:
+    """Write the trajectory of each filter, and of the reference inside the replay, if its positions are known.
+
+    All count from where the baseline starts, and all are of the IMU.
+    """
+    origin = replay.histories[0].position[0]
+    for history in replay.histories:
+        text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
+        (folder / trajectory_file(history.filter)).write_bytes(text)
+    if replay.dive.reference is not None:
+        inside = replay.dive.reference.within(replay.start_ns, replay.end_ns)
+        if text := tum_trajectory(inside.time_ns, inside.position, inside.mat_nb, origin):
+            (folder / REFERENCE_TRAJECTORY).write_bytes(text)
+
+
+def tum_trajectory(
+    time_ns: TimeNs,  # (k,)
+    position: Floats,  # (k, 3): latitude rad, longitude rad, height m
+    mat_nb: Floats,  # (k, 3, 3); NaN where no attitude is known
+    origin: Floats,  # (3,): from which east, north and up are counted
+) -> bytes:
+    """Write a trajectory as TUM: times to the nanosecond; forward-port-up to east-north-up.
+
+    The format knows no missing positions: times without one have no line. A missing attitude is NaN, which evo takes
+    where it compares positions.
+    """
+    known = np.isfinite(position).all(axis=1)
+    columns = np.hstack([east_north_up_m(position[known], origin), quat_enu_flu(mat_nb[known])])
+    lines = []
+    for time, row in zip(time_ns[known].tolist(), columns.tolist(), strict=True):
+        second, nanosecond = divmod(time, NS_PER_S)
+        lines.append(f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n")
+    return "".join(lines).encode()
+
+
+def history_frame(history: History) -> "pd.DataFrame":
+    """Return the history of a filter, a row for each time, in shown units; dv_n_sd and so on are of all its states."""
+    import pandas as pd
+
+    rpy_deg = rpy_from_mat(history.mat_nb) / DEG
+    columns: dict[str, object] = {
+        "time_ns": history.time_ns,
+        "time_s": seconds(history.time_ns, history.time_ns[0]),
+        "updated": history.updated,
+        "latitude_deg": history.position[:, 0] / DEG,
+        "longitude_deg": history.position[:, 1] / DEG,
+        "height_m": history.position[:, 2],
+        **{f"velocity_{axis}_mps": history.velocity_n[:, place] for place, axis in enumerate("ned")},
+        **{f"{name}_deg": rpy_deg[:, place] for place, name in enumerate(("roll", "pitch", "heading"))},
+        **{f"ba_{axis}_mg": history.accel_bias_b[:, place] / MG for place, axis in enumerate(_AXES)},
+        **{f"bg_{axis}_degph": history.gyro_bias_b[:, place] / DEG_PER_HOUR for place, axis in enumerate(_AXES)},
+        **{f"{state.id}_sd": history.sd[:, state.index] / state.factor for state in STATES},
+    }
+    return pd.DataFrame({name: np.asarray(column) for name, column in columns.items()})
+
+
+def save_histories(replay: Replay, folder: Path, format_: str) -> None:
+    """Write the whole history of each filter, as CSV with all digits, or as Parquet."""
+    for history in replay.histories:
+        path, frame = folder / history_file(history.filter, format_), history_frame(history)
+        if format_ == CSV:
+            path.write_bytes(table_csv(frame))
+        else:
+            require_parquet()
+            frame.to_parquet(path, index=False)
+
+
+def require_parquet() -> None:
+    """Raise a ConfigError where nothing can write Parquet."""
+    try:
+        import pyarrow  # type: ignore[import-not-found]  # noqa: F401
+    except ImportError as error:
+        raise ConfigError("--history parquet needs pyarrow", "pip install pyarrow, or --history csv") from error

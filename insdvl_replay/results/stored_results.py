@@ -24,56 +24,24 @@ class _Label(msgspec.Struct):
 
 
 def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
-    """Read every result in a place.
+    """Read every result in a place: a report.json, a result folder, or a folder of them at any depth.
 
-    Parameters
-    ----------
-    root : Path
-        A report.json, a result folder, or a folder of result folders at any depth.
-
-    Returns
-    -------
-    results : list of StoredResult
-        In the order of their paths.
-    notes : list of Note
-        Results of studies, which have no tables of a dive, are left out and counted.
-
-    Raises
-    ------
-    ConfigError
-        There is no result of a dive.
-    ResultError
-        A report cannot be read.
+    Results of studies, which have no tables of a dive, are left out and counted. A place without a result of a dive is
+    a ConfigError, a report that cannot be read a ResultError.
     """
     reports, studies = _read_reports(root, StoredReport)
-    results = [StoredResult(file.parent, _below(file.parent, root), report) for file, report in reports]
+    results = [
+        StoredResult(file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report)
+        for file, report in reports
+    ]
     text = f"{root}: {studies} results of studies are left out"
     return results, [Note("studies_left_out", text, studies)] if studies else []
 
 
 def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
-    """Read the one result in a place.
+    """Read the one result in a place, and return its folder and report; several are a ConfigError.
 
-    Parameters
-    ----------
-    root : Path
-        As of `read_results`.
-    kind : type
-        `StoredReport`, or `json_report.Report`, as which those of this version alone can be read.
-
-    Returns
-    -------
-    Path
-        Its folder.
-    kind
-        Its report.
-
-    Raises
-    ------
-    ConfigError
-        There is none, or more than one.
-    ResultError
-        It cannot be read.
+    As `json_report.Report` those of this version alone can be read, as `StoredReport` all.
     """
     ((file, report), *others), _ = _read_reports(root, kind)
     if others:
@@ -89,10 +57,6 @@ def _read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind
         found = "holds results of studies alone" if read else "holds no result"
         raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
     return reports, len(read) - len(reports)
-
-
-def _below(folder: Path, root: Path) -> str:
-    return folder.relative_to(root).as_posix() if root.is_dir() else "."
 
 
 def _report_files(root: Path) -> Iterator[Path]:
@@ -118,6 +82,7 @@ def _refuse(error: OSError) -> NoReturn:
 
 def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     """Read one report; None for that of a study."""
+    label = _Label()
     try:
         data = read_file(file)
         label = msgspec.json.decode(data, type=_Label)
@@ -127,38 +92,20 @@ def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     except OSError as error:
         _refuse(error)
     except msgspec.ValidationError as error:
-        raise _of_other_version(file, data, error) from error
+        written_by = f" (written by version {label.tool['version']})" if label.tool.get("version") else ""
+        reason = f"{str(error)[:1].lower()}{str(error)[1:]}"
+        raise ResultError(
+            f"{file}: is not a report that version {__version__} can read{written_by}: {reason}",
+            "replay the log again with this version, or compare with the version that wrote it",
+        ) from error
     except NOT_JSON as error:
         hint = "name a result folder or its report.json; a broken one is replaced by replaying its log with --force"
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
-    if isinstance(report, StoredReport):
-        _require_named_rows(file, report)
-    return report
-
-
-def _of_other_version(file: Path, data: bytes, error: msgspec.ValidationError) -> ResultError:
-    """Return the error of a report whose layout is another one."""
-    found = str(error)
-    reason = f"{found[:1].lower()}{found[1:]}"
-    return ResultError(
-        f"{file}: is not a report that version {__version__} can read{_made_by(data)}: {reason}",
-        "replay the log again with this version, or compare with the version that wrote it",
-    )
-
-
-def _require_named_rows(file: Path, report: StoredReport) -> None:
-    """Refuse a result with a row of which nobody knows what it is about."""
+    tables = report.tables if isinstance(report, StoredReport) else {}
     for layout in TABLES:
-        for number, row in enumerate(report.tables.get(layout.name, []), 1):
+        for number, row in enumerate(tables.get(layout.name, []), 1):
             for column in ("filter", layout.key):
                 if column not in row:
                     place = f"{file}: table {layout.name}, row {number}"
                     raise ResultError(f"{place}: has no column {column}", "replay the log again")
-
-
-def _made_by(data: bytes) -> str:
-    try:
-        version = msgspec.json.decode(data, type=_Label).tool.get("version")
-    except msgspec.DecodeError:
-        return ""
-    return f" (written by version {version})" if version else ""
+    return report

@@ -13,7 +13,7 @@ import sys
 import time
 import weakref
 from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor, Executor
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -26,11 +26,17 @@ from msgspec.structs import replace
 from recorded_parts import write_part
 
 import insdvl_replay
-from insdvl_replay.batch import dive_paths
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, log_digest, plan_jobs, replay_into, replay_jobs
-from insdvl_replay.batch.known_results import known_reports
-from insdvl_replay.batch.workers import Pool, WorkerLostError, Workers, do_each, local_workers
+from insdvl_replay.batch.jobs import (
+    ReplayJob,
+    ReplayOptions,
+    known_reports,
+    log_digest,
+    plan_jobs,
+    replay_into,
+    replay_jobs,
+)
+from insdvl_replay.batch.workers import Submit, WorkerLostError, do_each, local_pool
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_record import unique_names
@@ -295,14 +301,8 @@ def test_a_folder_that_may_not_be_read_is_a_dive_that_cannot(tree: Path, monkeyp
     assert tree / "trip" in find_dives(["**/*.mcap"], tree)
 
 
-@pytest.mark.parametrize("name", ["/proc/**", "/proc/**/*.mcap", "/proc", "/sys/**/x.bag"])
-def test_folders_without_files_are_not_walked_through(name: str) -> None:
-    with pytest.raises(ConfigError, match=re.escape(name)):
-        find_dives([name])
-
-
 @pytest.mark.parametrize("name", [".", "**/*.mcap"])
-def test_links_between_folders_end(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_links_between_folders_end(name: str, tmp_path: Path) -> None:
     """Each of eight folders leads to all: there are more ways through them than anybody can go."""
     folders = [tmp_path / f"{number}" for number in range(8)]
     for folder in folders:
@@ -311,9 +311,6 @@ def test_links_between_folders_end(name: str, tmp_path: Path, monkeypatch: pytes
         for other in folders:
             (folder / f"to_{other.name}").symlink_to(other)
     assert len(find_dives([name], tmp_path)) == len(folders)
-    monkeypatch.setattr(dive_paths, "_MOST_FOLDERS", 5)
-    with pytest.raises(ConfigError, match="more than 5 "):
-        find_dives([name], tmp_path)
 
 
 @pytest.mark.parametrize("name", ["*.bag", "none?.mcap", "empty", "empty.txt"])
@@ -513,7 +510,7 @@ def test_no_link_or_pipe_that_bears_an_overviews_name_is_written_to(
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_each_item_is_done_once_and_an_exception_is_a_result(jobs: int) -> None:
-    outcomes = dict(do_each(int, ["1", "x", "3"], local_workers(jobs)))
+    outcomes = dict(do_each(int, ["1", "x", "3"], local_pool(jobs)))
     assert (outcomes[0], outcomes[2]) == (1, 3)
     assert isinstance(outcomes[1], ValueError)
 
@@ -532,7 +529,7 @@ def test_an_error_does_not_keep_what_was_read_of_its_dive() -> None:
 
     gc.disable()
     try:
-        [(_, outcome)] = do_each(fail, [0], local_workers(1))
+        [(_, outcome)] = do_each(fail, [0], local_pool(1))
         assert isinstance(outcome, LogError)
         assert [reference() for reference in read] == [None]
     finally:
@@ -542,36 +539,35 @@ def test_an_error_does_not_keep_what_was_read_of_its_dive() -> None:
 def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
     for library in ("OPENBLAS", "OMP", "MKL"):
         monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
-    assert dict(do_each(threads_with_numpy, [0, 1], local_workers(2))) == {0: 1, 1: 1}
+    assert dict(do_each(threads_with_numpy, [0, 1], local_pool(2))) == {0: 1, 1: 1}
 
 
 @pytest.mark.nightly
 def test_items_of_a_dead_worker_are_tried_again(tmp_path: Path) -> None:
     items = [tmp_path / name for name in ("a", "b", "c.deadly", "d", "e", "f")]
-    outcomes = dict(do_each(die_at_first, items, local_workers(2)))
+    outcomes = dict(do_each(die_at_first, items, local_pool(2)))
     assert outcomes == {place: item.name for place, item in enumerate(items)}
 
 
 @pytest.mark.nightly
 def test_only_the_item_that_kills_its_workers_is_lost() -> None:
     items = ["a", "b", "deadly", "c", "d", "e"]
-    outcomes = dict(do_each(die_always, items, local_workers(2)))
+    outcomes = dict(do_each(die_always, items, local_pool(2)))
     assert isinstance(outcomes.pop(2), WorkerLostError)
     assert outcomes == {place: item for place, item in enumerate(items) if item != "deadly"}
 
 
 @pytest.mark.nightly
 def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: Path) -> None:
-    class Deadly(Executor):
-        def submit(self, *_: object) -> NoReturn:
-            raise BrokenExecutor("killed")
+    def submit(*_: object) -> NoReturn:
+        raise BrokenExecutor("killed")
 
     @contextmanager
-    def fresh(_alone: bool) -> Iterator[Pool]:
-        yield Pool(Deadly(), 2)
+    def fresh(_alone: bool) -> Iterator[tuple[Submit, int]]:
+        yield submit, 2
 
     tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]
-    first, second = replay_jobs(tasks, {}, Workers(fresh), lambda _: None)
+    first, second = replay_jobs(tasks, {}, fresh)
     assert isinstance(first.result, LogError)
     assert first.result.message.startswith(f"{archive / 'dive_1.mcap'}: ")
     assert first.result.message.endswith(": killed")

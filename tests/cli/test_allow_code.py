@@ -3,13 +3,12 @@
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
 
 import insdvl_replay
-from insdvl_replay.batch.workers import local_workers
+from insdvl_replay.batch.workers import local_pool
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError
@@ -98,10 +97,9 @@ def test_settings_without_their_code_are_settings() -> None:
     }
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_code_runs_in_a_process_of_its_own(jobs: int) -> None:
-    with local_workers(jobs, runs_code=True).open(False) as pool:
-        assert isinstance(pool.executor, ProcessPoolExecutor)
+def test_code_runs_in_a_process_of_its_own() -> None:
+    assert local_pool(1) is None
+    assert local_pool(1, runs_code=True) is not None
 
 
 @pytest.mark.nightly

@@ -18,7 +18,7 @@ DOCUMENTED = {
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex>", "--table NAME",
         "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict",
-        "--jobs N", "--scheduler ADDR", "--scheduler-patience S",
+        "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
@@ -31,7 +31,7 @@ DOCUMENTED = {
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
         "--set KEY=VALUE", "--allow-damaged", "--allow-code",
         "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--only GATE",
-        "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR", "--scheduler-patience S",
+        "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
     ],
     "inspect": [

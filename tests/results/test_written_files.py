@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import threading
@@ -14,8 +13,7 @@ import pytest
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, damaged_files, result_digest, result_file, result_folder
-from insdvl_replay.results.workspace import clear_leftovers
+from insdvl_replay.results.folder import COMPLETE, DIVE_FILES, damaged_files, result_file, result_folder
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "archive"
 TOOL = [sys.executable, "-m", "insdvl_replay"]
@@ -75,7 +73,7 @@ def test_a_link_to_a_file_stays_and_the_file_is_replaced_at_once(tmp_path: Path)
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize(
     ("leads", "named"),
-    [("absent", "absent"), ("folder", "folder"), ("link", "symbolic links")],
+    [("absent", "absent"), ("folder", "folder"), ("link", "not there")],
 )
 def test_a_link_that_leads_to_no_file_is_refused_in_words(leads: str, named: str, force: bool, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
@@ -89,7 +87,7 @@ def test_a_link_that_leads_to_no_file_is_refused_in_words(leads: str, named: str
     assert link.readlink() == Path(leads)
 
 
-@pytest.mark.parametrize("name", ["a" * 255, "a" * 5000, "a" * 5000 + "/dive"])
+@pytest.mark.parametrize("name", ["a" * 5000, "a" * 5000 + "/dive"])
 def test_a_name_that_no_folder_can_have_is_told(name: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="File name too long"), result_folder(tmp_path / name):
         pass
@@ -101,21 +99,6 @@ def test_a_pipe_gets_nothing_of_what_failed(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         write_half(pipe)
     assert list(tmp_path.iterdir()) == [pipe]
-
-
-@pytest.mark.parametrize("append", [False, True])
-def test_the_descriptor_of_stdout_shares_its_place(append: bool, tmp_path: Path) -> None:
-    """A file that is opened once more by its name would be written over by what is printed afterwards."""
-    printed = tmp_path / "printed"
-    printed.write_text("before\n")
-    script = (
-        "from pathlib import Path; from insdvl_replay.results.folder import result_file\n"
-        "with result_file(Path('/dev/stdout'), force=True) as path: path.write_text('written\\n')\n"
-        "print('printed')"
-    )
-    with printed.open("a" if append else "w") as stdout:
-        subprocess.run([sys.executable, "-c", script], stdout=stdout, check=True, timeout=60)
-    assert printed.read_text() == "before\n" * append + "written\nprinted\n"
 
 
 def test_check_leaves_what_is_no_file_where_it_is(tmp_path: Path) -> None:
@@ -200,30 +183,6 @@ def test_a_result_of_an_early_version_is_replaced(tmp_path: Path) -> None:
         assert [path.name for path in target.iterdir()] == [COMPLETE]
 
 
-def written_while_another_run_writes(target: Path, words: tuple[str, str]) -> None:
-    before = result_digest(target)
-    with result_folder(target, force=True, before=before) as second:
-        (second / COMPLETE).write_text(OURS % words[1])
-        with result_folder(target, force=True, before=before) as first:
-            (first / COMPLETE).write_text(OURS % words[0])
-
-
-@pytest.mark.parametrize("old", [False, True])
-def test_of_two_runs_at_once_the_second_to_finish_is_told(old: bool, tmp_path: Path) -> None:
-    target = tmp_path / "dive"
-    if old:
-        written(target, "old")
-    with pytest.raises(ConfigError, match="dive: "):
-        written_while_another_run_writes(target, ("first", "second"))
-    assert '"first"' in (target / COMPLETE).read_text()
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_two_runs_at_once_with_one_result_are_both_done(tmp_path: Path) -> None:
-    written_while_another_run_writes(tmp_path / "dive", ("same", "same"))
-    assert list(tmp_path.iterdir()) == [tmp_path / "dive"]
-
-
 @pytest.mark.parametrize("option", ["--output", "--summary-file"])
 def test_no_folder_is_made_for_a_file(option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "absent" / "gates.xml"
@@ -292,66 +251,17 @@ def test_a_report_that_is_changed_is_damaged(old: str, new: str, result: Path) -
 
 # --- What killed runs leave.
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from insdvl_replay.results.folder import COMPLETE, result_folder
-
-renamed, at = Path.rename, int(sys.argv[2])
-
-def rename(path, target):
-    global at
-    at -= 1
-    if at == 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return renamed(path, target)
-
-Path.rename = rename
-with result_folder(Path(sys.argv[1]), force=True) as folder:
-    (folder / COMPLETE).write_text('{"tool": {"name": "insdvl-replay"}, "word": "killed"}')
-"""
-
 
 def written(target: Path, word: str) -> None:
     with result_folder(target, force=True) as folder:
         (folder / COMPLETE).write_text(OURS % word)
 
 
-def killed_at(target: Path, rename: int) -> None:
-    command = [sys.executable, "-c", KILLED, str(target), str(rename)]
-    assert subprocess.run(command, check=False, timeout=60).returncode == -signal.SIGKILL
-
-
-@pytest.mark.parametrize("rename", [1, 2])
-def test_a_killed_run_loses_no_older_result_and_is_cleared_after_a_day(rename: int, tmp_path: Path) -> None:
-    target = tmp_path / "dive"
-    written(target, "old")
-    killed_at(target, rename)
-    assert len(list(tmp_path.glob(".dive-*"))) == 1
-    assert target.exists() == (rename == 1)
-    clear_leftovers(tmp_path)
-    assert '"old"' in (target / COMPLETE).read_text()
-    (workspace,) = tmp_path.glob(".dive-*")
-    os.utime(workspace, (0.0, time.time() - 90_000.0))
-    clear_leftovers(tmp_path)
-    assert list(tmp_path.iterdir()) == [target]
-
-
-def test_the_next_run_asks_before_it_replaces_what_it_put_back(tmp_path: Path) -> None:
-    target = tmp_path / "dive"
-    written(target, "old")
-    killed_at(target, 2)
-    with pytest.raises(ConfigError, match="dive: exists"), result_folder(target):
-        raise AssertionError
-    assert '"old"' in (target / COMPLETE).read_text()
-
-
-def test_a_living_run_is_left_alone(tmp_path: Path) -> None:
+def test_of_two_runs_at_once_a_whole_result_stays(tmp_path: Path) -> None:
     target = tmp_path / "dive"
     with result_folder(target, force=True) as first:
         (first / "half.csv").write_text("half")
         written(target, "of another run")
-        clear_leftovers(tmp_path)
         assert (first / "half.csv").read_text() == "half"
         (first / "half.csv").unlink()
         (first / COMPLETE).write_text(OURS % "first")
@@ -359,28 +269,30 @@ def test_a_living_run_is_left_alone(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_hidden_folders_of_others_are_left_alone(tmp_path: Path) -> None:
-    (tmp_path / ".dive-backup_1").mkdir()
-    (tmp_path / ".dive-backup_1" / "notes.txt").write_text("mine")
-    (tmp_path / ".dive-12345678").mkdir()
-    (tmp_path / ".ssh").mkdir()
-    os.utime(tmp_path / ".dive-backup_1", (0.0, 0.0))
-    written(tmp_path / "dive", "new")
-    assert {path.name for path in tmp_path.iterdir()} == {".dive-backup_1", ".dive-12345678", ".ssh", "dive"}
-
-
-def test_a_folder_whose_result_cannot_go_back_is_kept_aside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_older_result_goes_back_where_a_new_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     target, renamed = tmp_path / "dive", Path.rename
     written(target, "old")
 
     def fails(path: Path, new: Path) -> Path:
-        if new == target:
+        if path.name == "new":
             raise OSError(5, "Input/output error")
         return renamed(path, new)
 
     monkeypatch.setattr(Path, "rename", fails)
     with pytest.raises(ConfigError, match="Input/output error"):
         written(target, "new")
-    monkeypatch.undo()
-    clear_leftovers(tmp_path)
     assert '"old"' in (target / COMPLETE).read_text()
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_what_a_killed_run_left_is_removed_after_a_day_and_nothing_else(tmp_path: Path) -> None:
+    names = {".insdvl-replay-killed", ".insdvl-replay-running", ".dive-backup", ".ssh"}
+    for name in names:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "notes.txt").write_text("half")
+        if not name.endswith("running"):
+            os.utime(tmp_path / name, (0.0, time.time() - 90_000.0))
+    written(tmp_path / "dive", "new")
+    assert {path.name for path in tmp_path.iterdir()} == names - {".insdvl-replay-killed"} | {"dive"}

@@ -54,7 +54,7 @@ def said_of_results(folder: Path) -> Cases:
     yield from of_verdicts(folder)
     yield from of_reports()
     yield from of_files(folder)
-    for name in ("*.mcap", "/proc/**", "a\0b", "a" * 5000):
+    for name in ("*.mcap", "a\0b", "a" * 5000):
         yield f"dives of {name!r}", refusal(find_dives, [name], folder)
     yield "dives of one name", refusal(unique_names, [Path("/dives/x.mcap"), Path("/dives/x")])
 
