@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
-from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import NaturalKey, natural_key, read_text
+from insdvl_replay.core.errors import ConfigError, NaturalKey, natural_key, read_text
 from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"

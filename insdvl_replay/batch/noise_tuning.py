@@ -3,7 +3,7 @@
 The fit takes the noise under which the baseline's own innovations are most likely. It knows nothing of the reference.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns
+from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.words import Severity
@@ -25,20 +25,17 @@ from insdvl_replay.evaluation.consistency import (
     readings_scatter,
     sensor_class,
 )
-from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
+from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive
 
 NAME = "tuned"
-"""Name of the tuned baseline among the filters."""
 INERTIAL: Final = ("accel_white_mps_rts", "gyro_white_rad_rts")
-"""What is fitted of the inertial sensors."""
 GEOMETRY_FIRST: Final = (
     "what is wrong in geometry and time ends in the noise: check dvl.lever_arm_m, dvl.mounting_rpy_deg, dvl.scale and "
     "dvl.latency_s before you compare with the control"
 )
-"""The hint to fitted noise that cannot be a sensor's."""
 FIT_S = 1800.0
 """The fit reads this much of a dive from its first ping on, which on the way down of a deep one may be long in coming;
 noise does not change so much that more would say more."""
@@ -46,7 +43,7 @@ LOWEST, HIGHEST = 1e-3, 1e3
 """Factors of the baseline's noise between which the fit looks."""
 STARTS: Final = tuple(product((1.0, 0.1, 0.01), (1.0, 10.0, 100.0), (1.0, 0.3)))
 """Factors of which the likeliest is the start: innovations can have several likely causes, a quiet DVL on a restless
-IMU among them, and a search from one place finds the nearest. Order as of `_noise`."""
+IMU among them, and a search from one place finds the nearest."""
 
 LIKELIHOOD_DIGITS: Final = 3
 """Decimals of a log-likelihood that count. Where innovations tell nothing of a noise, its further ones differ from
@@ -65,7 +62,7 @@ def replay_with_tuned_baseline(
 
 
 def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note, ...]]:
-    """Add the tuned baseline to the filters."""
+    """Return the settings with the tuned baseline among the filters, and notes on its noise."""
     baseline = config.filters[config.baseline]
     if NAME in config.filters:
         raise ConfigError(f"filter '{NAME}' is configured already", f"rename [filters.{NAME}], or leave --control out")
@@ -75,17 +72,20 @@ def with_tuned_baseline(dive: Dive, config: Config) -> tuple[Config, tuple[Note,
             "name such a filter first in the configuration",
         )
     dive = with_reference_at_imu(dive, config)
-    start = _first_part(prepare_with_heading(dive, config))
-    before = _noise(start.filters[0])
+    start = prepare_with_heading(dive, config)
+    end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
+    start = replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
+    # What is fitted, by key, as the baseline has it. The DVL's noise is in one of two keys.
+    resolved = start.filters[0]
+    before = {key: getattr(resolved.inertial_noise, key) for key in INERTIAL}
+    before[resolved.dvl_noise.key] = resolved.dvl_noise.sd_mps
     tuned = _fitted(dive, start, config, baseline, before)
     values = {key: getattr(tuned, key) for key in before}
-    edges = [key for key, value in values.items() if _at_the_edge(value, before[key])]
-    read = dive.imu.within(start.alignment.start_ns, start.end_ns)
-    notes = (_fitted_note(values, edges), *_beyond_their_sensors(values, read))
-    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), notes
+    edges = [
+        key for key, value in values.items() if not 1.01 * LOWEST * before[key] < value < HIGHEST / 1.01 * before[key]
+    ]
 
-
-def _fitted_note(values: Mapping[str, float], edges: Sequence[str]) -> Note:
+    # Notes: what was fitted, and what stands for something else than the noise of a sensor
     pasted = ", ".join(f"{key} = {value:.4g}" for key, value in values.items())
     text = f"noise of the control, fitted to the baseline's innovations: [filters.{NAME}] {pasted}"
     classes = {CLASSES[key].name: sensor_class(key, values[key]) for key in INERTIAL if key not in edges}
@@ -93,32 +93,20 @@ def _fitted_note(values: Mapping[str, float], edges: Sequence[str]) -> Note:
         text += f" ({', '.join(named)})"
     if edges:
         text += f"; at the edge of what is looked at, where the innovations tell no more: {', '.join(edges)}"
-    return Note("control_fitted", text, len(values))
-
-
-def _beyond_their_sensors(values: Mapping[str, float], imu: ImuColumns) -> Iterator[Note]:
-    """Warn of fitted noise that stands for something else than the noise of a sensor."""
-    readings = (imu.specific_force_b, imu.angular_rate_b)
-    scatter = {key: readings_scatter(of_one, imu.usual_step_s) for key, of_one in zip(INERTIAL, readings, strict=True)}
-    judged = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
-    if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in judged.items() if reason]:
+    notes = [Note("control_fitted", text, len(values))]
+    imu = dive.imu.within(start.alignment.start_ns, start.end_ns)
+    readings = zip(INERTIAL, (imu.specific_force_b, imu.angular_rate_b), strict=True)
+    scatter = {key: readings_scatter(values_b, imu.usual_step_s) for key, values_b in readings}
+    reasons = {key: beyond_the_sensor(key, value, scatter.get(key, 0.0)) for key, value in values.items()}
+    if found := [f"{key} = {values[key]:.4g} is {reason}" for key, reason in reasons.items() if reason]:
         text = f"the control has fitted noise that cannot be the sensors': {'; '.join(found)}"
-        yield Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST)
-
-
-def _noise(baseline: ResolvedFilter) -> dict[str, float]:
-    """Return what is fitted, by key, as the baseline has it. The DVL's noise stands in one of two keys."""
-    dvl = baseline.dvl_noise
-    return {key: getattr(baseline.inertial_noise, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
-
-
-def _first_part(start: Prepared) -> Prepared:
-    """Cut off what the fit does not read."""
-    end_ns = min(start.end_ns, int(start.velocities.time_ns[0]) + int(FIT_S * 1e9))
-    return replace(start, velocities=start.velocities.within(start.alignment.start_ns, end_ns), end_ns=end_ns)
+        notes.append(Note("control_out_of_class", text, len(found), Severity.WARNING, GEOMETRY_FIRST))
+    return msgspec.structs.replace(config, filters={**config.filters, NAME: tuned}), tuple(notes)
 
 
 def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, before: Mapping[str, float]) -> Filter:
+    """Return the baseline with the likeliest noise."""
+
     def filter_with(logarithms: Floats) -> Filter:
         factors = np.exp(np.clip(logarithms, np.log(LOWEST), np.log(HIGHEST)))
         values = {key: float(value * factor) for (key, value), factor in zip(before.items(), factors, strict=True)}
@@ -145,7 +133,3 @@ def _fitted(dive: Dive, start: Prepared, config: Config, baseline: Filter, befor
         )
         best = np.clip(found.x, np.log(LOWEST), np.log(HIGHEST))
     return filter_with(best)
-
-
-def _at_the_edge(value: float, before: float) -> bool:
-    return not 1.01 * LOWEST * before < value < HIGHEST / 1.01 * before

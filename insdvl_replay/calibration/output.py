@@ -23,7 +23,7 @@ from insdvl_replay.calibration.rows import (
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import visible
 from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.preparation.run import FIT

@@ -18,8 +18,7 @@ from msgspec import Struct
 from msgspec.structs import astuple, replace
 
 from insdvl_replay.changes.cells import ROUNDING, Change, changes_of, named_rows, within
-from insdvl_replay.core.errors import ConfigError, Note, listed, require_known
-from insdvl_replay.core.plain_text import natural_key
+from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.stored_report import StoredReport, StoredResult, flattened
 from insdvl_replay.core.table import PERCENTAGE, RATIO, Number, TableLayout

@@ -10,8 +10,7 @@ from typing import Any, Final
 
 import typer
 
-from insdvl_replay.core.errors import LogError, Note, UserError, nearest
-from insdvl_replay.core.plain_text import visible, visible_lines, without_commands
+from insdvl_replay.core.errors import LogError, Note, UserError, nearest, visible, visible_lines, without_commands
 
 OUR_MISTAKE = 4
 USAGE = 2

@@ -78,7 +78,7 @@ def run(
     from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
     from insdvl_replay.cli.screen import in_format
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.core.plain_text import visible
+    from insdvl_replay.core.errors import visible
     from insdvl_replay.report.document import Only, Part
     from insdvl_replay.results.chosen_tables import csv_of, json_of, require_tables, tables_named
     from insdvl_replay.results.dive_document import dive_document, heading

@@ -13,8 +13,7 @@ import typer
 
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_to_stderr, write_stdout
-from insdvl_replay.core.errors import ConfigError, hint_for, require_known
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import ConfigError, hint_for, require_known, visible
 from insdvl_replay.core.states import SENSORS
 
 if TYPE_CHECKING:

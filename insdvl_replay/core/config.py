@@ -21,20 +21,27 @@ def Comment(comment: str) -> Meta:  # noqa: N802
     return Meta(description=comment)
 
 
-class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A table of the configuration."""
-
-
 AXES = 'frd | flu | a signed permutation such as "+x-y-z"; left out: by type, else frd'
 STAMP = "header | log_time | publish_time | a field path; left out: by type, else header"
+FoundTopic = Annotated[str | None, Comment("left out: found by type")]
+FieldPath = Annotated[str | None, Comment("field path; left out: by type")]
+Stamp = Annotated[str | None, Comment(STAMP)]
+StampLatency = Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")]
+AttitudeMounting = Annotated[
+    Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
+]
+
+
+class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A table of the configuration."""
 
 
 class Imu(Section, frozen=True):
     """Where the specific force and angular rate come from."""
 
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
-    specific_force: Annotated[str | None, Comment("field path; left out: by type")] = None
-    angular_rate: Annotated[str | None, Comment("field path; left out: by type")] = None
+    topic: FoundTopic = None
+    specific_force: FieldPath = None
+    angular_rate: FieldPath = None
     specific_force_unit: Annotated[
         Literal["m/s2", "g", "mg"] | None, Comment("m/s2 | g | mg; left out: by type, else m/s2")
     ] = None
@@ -45,8 +52,8 @@ class Imu(Section, frozen=True):
     angular_rate_scale: Annotated[Positive, Comment("measured over true rate; readings are divided by it")] = 1.0
     axes: Annotated[str | None, Comment(AXES)] = None
     specific_force_axes: Annotated[str | None, Comment("where they differ; left out: by type, else as axes")] = None
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
     min_rate_hz: Annotated[NotNegative, Comment("a slower IMU is refused")] = 20.0
     max_gap_s: Annotated[Positive, Comment("pauses up to this are bridged as if nothing happened in them")] = 0.5
     long_gaps: Annotated[
@@ -64,18 +71,18 @@ class Imu(Section, frozen=True):
 class Dvl(Section, frozen=True):
     """Where the DVL's pings come from, how it is mounted and how good it is."""
 
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    topic: FoundTopic = None
     kind: Annotated[Literal["beams", "velocity"] | None, Comment("beams | velocity; left out: by type")] = None
     beam_velocity: Annotated[str | None, Comment('field path such as "beams[*].velocity"; left out: by type')] = None
     beam_valid: Annotated[str | None, Comment("field path, 0 where a beam is lost; left out: by type")] = None
-    velocity: Annotated[str | None, Comment("field path; left out: by type")] = None
+    velocity: FieldPath = None
     valid: Annotated[str | None, Comment("field path, 0 where a ping is invalid; left out: by type")] = None
     velocity_unit: Annotated[
         Literal["m/s", "mm/s", "cm/s"] | None, Comment("m/s | mm/s | cm/s; left out: by type, else m/s")
     ] = None
     axes: Annotated[str | None, Comment(AXES)] = None
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
     latency_of_dives_s: Annotated[
         tuple[tuple[str, Latency], ...],
         Comment('in place of latency_s, of dives whose clocks were set otherwise: [["dive_7", 0.03]]'),
@@ -103,10 +110,10 @@ class Dvl(Section, frozen=True):
 class Depth(Section, frozen=True):
     """Where the depth comes from; read where a filter is aided by it, or where it is withheld."""
 
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    topic: FoundTopic = None
     depth: Annotated[str | None, Comment("field path, m, positive downwards; left out: by type")] = None
     height: Annotated[str | None, Comment("field path, m, positive upwards; left out: by type")] = None
-    pressure: Annotated[str | None, Comment("field path; left out: by type")] = None
+    pressure: FieldPath = None
     pressure_unit: Annotated[
         Literal["Pa", "hPa", "kPa", "dbar", "bar"] | None, Comment("Pa | hPa | kPa | dbar | bar; left out: Pa")
     ] = None
@@ -116,14 +123,14 @@ class Depth(Section, frozen=True):
     ] = None
     lever_arm_m: Annotated[Vector, Comment("IMU to the sensor, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one reading")] = 0.1
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
 
 
 class Heading(Section, frozen=True):
     """Where a heading comes from that is not the INS's: an AHRS or a compass; read as the depth is."""
 
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    topic: FoundTopic = None
     quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
     heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
     roll: Annotated[str | None, Comment("field path, starboard side down, for the start; left out: by type")] = None
@@ -132,9 +139,7 @@ class Heading(Section, frozen=True):
     axes: Annotated[
         Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu, of a quaternion; left out: enu_flu")
     ] = None
-    mounting_rpy_deg: Annotated[
-        Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
-    ] = (0.0, 0.0, 0.0)
+    mounting_rpy_deg: AttitudeMounting = (0.0, 0.0, 0.0)
     declination_deg: Annotated[
         Annotated[float, Meta(ge=-180, le=180)], Comment("magnetic north from true north, clockwise, of a compass")
     ] = 0.0
@@ -142,36 +147,36 @@ class Heading(Section, frozen=True):
     bias_sd_deg: Annotated[Positive, Comment("of its slow error, for filters with the state heading_bias")] = 3.0
     bias_time_s: Annotated[Annotated[float, Meta(ge=1)], Comment("in which that error is forgotten")] = 600.0
     level_sd_deg: Annotated[Positive, Comment("of its roll and pitch, each, where filters start from them")] = 0.5
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
 
 
 class Position(Section, frozen=True):
     """Where fixes of the position come from: satellites at the surface, or an acoustic system; read as the depth is."""
 
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
-    latitude: Annotated[str | None, Comment("field path; left out: by type")] = None
-    longitude: Annotated[str | None, Comment("field path; left out: by type")] = None
+    topic: FoundTopic = None
+    latitude: FieldPath = None
+    longitude: FieldPath = None
     height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
     angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of latitude and longitude")] = "deg"
     lever_arm_m: Annotated[Vector, Comment("IMU to the antenna, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one fix, north and east")] = 2.0
     height_sd_m: Annotated[Positive | None, Comment("of its height; left out: the height is not used")] = None
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
 
 
 class Navigation(Section, frozen=True):
     """Where positions, velocities and attitudes come from that somebody else has found; each is optional."""
 
-    topic: Annotated[str | None, Comment("left out: found by type")] = None
+    topic: FoundTopic = None
     fix: Annotated[str | None, Comment("topic of the geographic position; left out: found by type")] = None
     frames: Annotated[tuple[str, str] | None, Comment("of transforms: parent and child, the child being the body")] = (
         None
     )
     axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu; left out: by type")] = None
-    latitude: Annotated[str | None, Comment("field path; left out: by type")] = None
-    longitude: Annotated[str | None, Comment("field path; left out: by type")] = None
+    latitude: FieldPath = None
+    longitude: FieldPath = None
     height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
     depth: Annotated[str | None, Comment("field path, m, in place of the height")] = None
     velocity_n: Annotated[
@@ -186,11 +191,9 @@ class Navigation(Section, frozen=True):
         Literal["deg", "rad"], Comment("deg | rad: of latitude, longitude, roll, pitch and heading")
     ] = "deg"
     lever_arm_m: Annotated[Vector, Comment("IMU to the point that it is of, forward-starboard-down")] = (0.0, 0.0, 0.0)
-    mounting_rpy_deg: Annotated[
-        Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
-    ] = (0.0, 0.0, 0.0)
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    mounting_rpy_deg: AttitudeMounting = (0.0, 0.0, 0.0)
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
 
 
 class Reference(Navigation, frozen=True):
@@ -395,8 +398,8 @@ class Topic(Section, frozen=True):
         Literal["dvl", "depth", "heading", "position"] | None,
         Comment("dvl | depth | heading | position: whose data it carries; absent wherever that sensor is held out"),
     ] = None
-    stamp: Annotated[str | None, Comment(STAMP)] = None
-    latency_s: Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")] = 0.0
+    stamp: Stamp = None
+    latency_s: StampLatency = 0.0
 
 
 class Config(Section, frozen=True):

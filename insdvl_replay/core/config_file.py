@@ -20,8 +20,19 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Filter, Topic, key_of, spelled_out
-from insdvl_replay.core.errors import LISTED, ConfigError, error_context, listed, most_like, nearest, require_known
-from insdvl_replay.core.plain_text import is_writable, read_regular, read_text, visible
+from insdvl_replay.core.errors import (
+    LISTED,
+    ConfigError,
+    error_context,
+    is_writable,
+    listed,
+    most_like,
+    nearest,
+    read_regular,
+    read_text,
+    require_known,
+    visible,
+)
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
 KeyPath = tuple[str | int, ...]

@@ -1,6 +1,6 @@
 """Clean columns of one dive: sorted, unique, in SI units and the project's frames.
 
-The logs room makes them from files, the sim room from nothing; the filters cannot tell which.
+`logs` makes them from files, `sim` from nothing; the filters cannot tell which.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,38 +15,11 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
 
-
-def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Find where a mask, shape (k,), is true: the first row of each run, and the row behind its last."""
-    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
-    return edges[::2], edges[1::2]
-
-
 Floats = NDArray[np.float64]
 TimeNs = NDArray[np.int64]
 NS_PER_S: Final = 1_000_000_000
 _AT_A_TIME: Final = 1 << 14
 Scalar = TypeVar("Scalar", bound=np.generic)
-
-
-def nothing(shape: tuple[int, ...]) -> Floats:
-    """Return numbers of which none is told: one NaN stands for all, and cannot be written to."""
-    return np.broadcast_to(np.nan, shape)
-
-
-def in_blocks(change: Callable[[NDArray[Scalar]], Floats], rows: NDArray[Scalar], into: Floats) -> Floats:
-    """Write changed rows, some at a time: what numpy needs on the way can be several times as large.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (k, ...)
-    into : ndarray, shape (k, ...)
-        Written, and returned; it may be the rows.
-    """
-    for first in range(0, len(rows), _AT_A_TIME):
-        block = slice(first, first + _AT_A_TIME)
-        into[block] = change(rows[block])
-    return into
 
 
 def seconds(time_ns: TimeNs, origin_ns: int | TimeNs) -> Floats:
@@ -61,38 +34,74 @@ def nanoseconds(time_s: float) -> int:
 
 
 def is_new(values: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
-    """Find which values, the first among them, are not the same as the one before; shape (k,)."""
+    """Return which values, the first among them, are not the same as the one before, shape (k,)."""
     new = np.ones(values.size, np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new
 
 
 def distinct(time_ns: TimeNs) -> TimeNs:
-    """Return each time once, in order.
-
-    `numpy.unique` does the same with a table of hashes, which takes thirty times as long.
-    """
+    """Return each time once, in order. `numpy.unique` does so with a table of hashes, thirty times as slowly."""
     ordered = np.sort(time_ns)
     return ordered[is_new(ordered)]
 
 
+def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where a mask, shape (k,), is true: the first row of each run, and the row behind its last."""
+    edges = np.flatnonzero(np.diff(mask, prepend=False, append=False))
+    return edges[::2], edges[1::2]
+
+
+def nothing(shape: tuple[int, ...]) -> Floats:
+    """Return missing numbers: one NaN stands for all, and cannot be written to."""
+    return np.broadcast_to(np.nan, shape)
+
+
+def in_blocks(change: Callable[[NDArray[Scalar]], Floats], rows: NDArray[Scalar], into: Floats) -> Floats:
+    """Write changed rows, shape (k, ...), some at a time, into others or themselves, and return these.
+
+    What numpy needs on the way can be several times as large.
+    """
+    for first in range(0, len(rows), _AT_A_TIME):
+        block = slice(first, first + _AT_A_TIME)
+        into[block] = change(rows[block])
+    return into
+
+
+def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
+    """Return the seconds from each time, shape (k,), to the nearest finite row of values, shape (r, n).
+
+    They are infinite where there is no finite row.
+    """
+    finite_ns = time_ns[np.isfinite(values).all(axis=1)]
+    if not len(finite_ns):
+        return np.full(len(at_ns), np.inf)
+    after = np.searchsorted(finite_ns, at_ns).clip(1, max(1, len(finite_ns) - 1))
+    neighbours = finite_ns[np.stack([after - 1, np.minimum(after, len(finite_ns) - 1)])]
+    return np.asarray(np.abs(seconds(neighbours, at_ns)).min(axis=0))
+
+
+def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
+    """Interpolate the finite rows of values, shape (r, n), at a time; outside them the nearest row counts."""
+    finite = np.flatnonzero(np.isfinite(values).all(axis=1))
+    after = int(np.searchsorted(time_ns[finite], at_ns))
+    near = finite[max(0, after - 1) : after + 1]
+    offset_s = seconds(time_ns[near], at_ns)
+    return np.array([np.interp(0.0, offset_s, column) for column in values[near].T])
+
+
+def _between(time_ns: TimeNs, start_ns: int, end_ns: int) -> slice:
+    """Return the rows from the start to the end, both included."""
+    return slice(np.searchsorted(time_ns, start_ns), np.searchsorted(time_ns, end_ns, side="right"))
+
+
 @dataclass(frozen=True)
 class ImuColumns:
-    """Readings of the accelerometers and gyros.
+    """Readings of the accelerometers and gyros."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of validity, strictly increasing.
-    specific_force_b : ndarray, shape (k, 3)
-        Specific force, m/s^2.
-    angular_rate_b : ndarray, shape (k, 3)
-        Angular rate against inertial space, rad/s.
-    """
-
-    time_ns: TimeNs
-    specific_force_b: Floats
-    angular_rate_b: Floats
+    time_ns: TimeNs  # (k,) of validity, strictly increasing, as in all columns
+    specific_force_b: Floats  # (k, 3) m/s^2
+    angular_rate_b: Floats  # (k, 3) against inertial space, rad/s
 
     @cached_property
     def usual_step_s(self) -> float:
@@ -102,7 +111,7 @@ class ImuColumns:
 
     def within(self, start_ns: int, end_ns: int) -> "ImuColumns":
         """Keep the samples from the start to the end, without copying them."""
-        rows = slice(np.searchsorted(self.time_ns, start_ns), np.searchsorted(self.time_ns, end_ns, side="right"))
+        rows = _between(self.time_ns, start_ns, end_ns)
         return ImuColumns(self.time_ns[rows], self.specific_force_b[rows], self.angular_rate_b[rows])
 
     def times_only(self) -> "ImuColumns":
@@ -112,51 +121,27 @@ class ImuColumns:
 
 @dataclass(frozen=True)
 class DvlColumns:
-    """Pings of the DVL, either as beams or as velocities.
+    """Pings of the DVL, either as beams or as velocities."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (m,)
-        Times of validity, strictly increasing.
-    beam_velocity_mps : ndarray, shape (m, beams), or None
-        Velocity of the vehicle along each beam's unit vector (positive towards the seabed); NaN where the beam is lost.
-    beam_vectors_d : ndarray, shape (beams, 3), or None
-        Unit vectors of the beams in d, from the instrument towards the seabed; left out beside velocities: a Janus's.
-    velocity_d : ndarray, shape (m, 3), or None
-        Velocity over ground in d, m/s, NaN where invalid; given when the instrument reports no beams.
-    look_d : ndarray, shape (3,), or None
-        Where the beams look on average in d, if the messages tell it.
-    """
-
-    time_ns: TimeNs
-    beam_velocity_mps: Floats | None = None
-    beam_vectors_d: Floats | None = None
-    velocity_d: Floats | None = None
-    look_d: Floats | None = None
+    time_ns: TimeNs  # (m,)
+    beam_velocity_mps: Floats | None = None  # (m, beams) along the beams, towards the seabed; NaN where a beam is lost
+    beam_vectors_d: Floats | None = None  # (beams, 3) unit vectors towards the seabed; none with velocities: a Janus's
+    velocity_d: Floats | None = None  # (m, 3) over ground, m/s, NaN where invalid; of instruments without beams
+    look_d: Floats | None = None  # (3,) where the beams look on average, if the messages tell it
 
     def rows(self, keep: NDArray[np.bool_]) -> "DvlColumns":
         """Keep some of the pings, chosen by a mask of shape (m,)."""
-        beams, velocity = (None if one is None else one[keep] for one in (self.beam_velocity_mps, self.velocity_d))
+        beams, velocity = (part if part is None else part[keep] for part in (self.beam_velocity_mps, self.velocity_d))
         return replace(self, time_ns=self.time_ns[keep], beam_velocity_mps=beams, velocity_d=velocity)
 
 
 @dataclass(frozen=True)
 class SensorColumns:
-    """Readings of a sensor beside IMU and DVL, see `sensors.SENSORS`.
+    """Readings of a sensor beside IMU and DVL, see `states.SENSORS`."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of validity, strictly increasing.
-    values : ndarray, shape (k, s)
-        Of a depth the metres below the water's surface; of a position NaN for a height that a fix lacks.
-    mat_nb : ndarray, shape (k, 3, 3), or None
-        Of a heading the attitude that it is part of, where its messages hold one whole.
-    """
-
-    time_ns: TimeNs
-    values: Floats
-    mat_nb: Floats | None = None
+    time_ns: TimeNs  # (k,)
+    values: Floats  # (k, s); of a depth m below the surface; of a position NaN for a height that a fix lacks
+    mat_nb: Floats | None = None  # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
 
     def rows(self, keep: NDArray[np.bool_]) -> "SensorColumns":
         """Keep some of the rows, chosen by a mask of shape (k,)."""
@@ -165,24 +150,12 @@ class SensorColumns:
 
 @dataclass(frozen=True)
 class ReferenceColumns:
-    """Another filter's solution, to start from and to compare with. NaN rows where a quantity is not given.
+    """Another filter's solution, to start from and to compare with. NaN rows where a quantity is not given."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (r,)
-        Times of validity, strictly increasing.
-    position : ndarray, shape (r, 3)
-        Latitude rad, longitude rad, height m.
-    velocity_n : ndarray, shape (r, 3)
-        Velocity over ground, m/s.
-    mat_nb : ndarray, shape (r, 3, 3)
-        Attitude, body to north-east-down.
-    """
-
-    time_ns: TimeNs
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
+    time_ns: TimeNs  # (r,)
+    position: Floats  # (r, 3) latitude rad, longitude rad, height m
+    velocity_n: Floats  # (r, 3) over ground, m/s
+    mat_nb: Floats  # (r, 3, 3)
 
     @cached_property
     def known(self) -> dict[str, NDArray[np.bool_]]:
@@ -210,41 +183,27 @@ class ReferenceColumns:
         """Whether any row has an attitude."""
         return bool(self.known["attitudes"].any())
 
-    def rows(self, keep: NDArray[np.bool_]) -> "ReferenceColumns":
-        """Keep some of the rows, chosen by a mask of shape (r,)."""
+    def rows(self, keep: NDArray[np.bool_] | slice) -> "ReferenceColumns":
+        """Keep some of the rows, chosen by a mask of shape (r,) or a slice."""
         return ReferenceColumns(self.time_ns[keep], self.position[keep], self.velocity_n[keep], self.mat_nb[keep])
-
-    def without_attitude(self) -> "ReferenceColumns":
-        """Return positions and velocities alone."""
-        return ReferenceColumns(self.time_ns, self.position, self.velocity_n, nothing(self.mat_nb.shape))
 
     def within(self, start_ns: int, end_ns: int) -> "ReferenceColumns":
         """Keep the rows from the start to the end, without copying them."""
-        rows = slice(np.searchsorted(self.time_ns, start_ns), np.searchsorted(self.time_ns, end_ns, side="right"))
-        return ReferenceColumns(self.time_ns[rows], self.position[rows], self.velocity_n[rows], self.mat_nb[rows])
+        return self.rows(_between(self.time_ns, start_ns, end_ns))
+
+    def without_attitude(self) -> "ReferenceColumns":
+        """Return positions and velocities alone."""
+        return replace(self, mat_nb=nothing(self.mat_nb.shape))
 
 
 @dataclass(frozen=True)
 class SolutionColumns:
-    """A solution that the vehicle found itself, as its log or a file has it.
+    """A solution that the vehicle found itself, as its log or a file has it."""
 
-    Attributes
-    ----------
-    motion : ReferenceColumns
-        r rows.
-    way_n : ndarray, shape (r, 3), or None
-        Where positions are metres from an origin that nobody knows: the way from it, m; `motion` has no positions then.
-    cov_ns : ndarray, shape (c,)
-        Those of the times, evenly chosen, of which the covariance is kept.
-    cov : ndarray, shape (c, 9, 9)
-        Of velocity error, misalignment and position error, all in n, SI units: the order of the states. NaN where it
-        says nothing.
-    """
-
-    motion: ReferenceColumns
-    way_n: Floats | None
-    cov_ns: TimeNs
-    cov: Floats
+    motion: ReferenceColumns  # r rows
+    way_n: Floats | None  # (r, 3) m, from an unknown origin; `motion` has no positions then
+    cov_ns: TimeNs  # (c,) times, evenly chosen, of which the covariance is kept
+    cov: Floats  # (c, 9, 9) of velocity error, misalignment and position error, all in n, SI; NaN where not given
 
     def where(self, keep: Callable[[TimeNs], NDArray[np.bool_]]) -> "SolutionColumns":
         """Keep the rows of some of the times, shape (k,), of which a mask says which."""
@@ -255,77 +214,25 @@ class SolutionColumns:
 
 @dataclass(frozen=True)
 class TruthColumns:
-    """Sensor biases that only a simulation can know.
+    """Sensor biases that only a simulation can know."""
 
-    Attributes
-    ----------
-    time_ns : ndarray, shape (r,)
-        Times of validity, strictly increasing.
-    accel_bias_b : ndarray, shape (r, 3)
-        Accelerometer bias, m/s^2.
-    gyro_bias_b : ndarray, shape (r, 3)
-        Gyro bias, rad/s.
-    """
-
-    time_ns: TimeNs
-    accel_bias_b: Floats
-    gyro_bias_b: Floats
+    time_ns: TimeNs  # (r,)
+    accel_bias_b: Floats  # (r, 3) m/s^2
+    gyro_bias_b: Floats  # (r, 3) rad/s
 
 
 @dataclass(frozen=True)
 class Dive:
-    """Everything that is needed to replay a dive.
+    """Everything that is needed to replay a dive."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the log without its ending; names the result folder.
-    sha256 : str
-        Digest of the log's bytes; empty for a dive that was never a file.
-    imu, dvl, reference, truth
-        The columns; reference and truth where the log has them.
-    sensors : mapping of str to SensorColumns
-        Those of `sensors.SENSORS` that were asked for.
-    solutions : mapping of str to SolutionColumns
-        By the name of the filter that each is.
-    topics : mapping of str to SensorColumns
-        Those that the configuration names in ``[topics]``, for measurements of your own; as the log has them.
-    channels : tuple of Channel
-        What the log holds.
-    notes : tuple of Note
-        What was dropped, assumed or found odd while reading.
-    """
-
-    name: str
+    name: str  # of the log without its ending; names the result folder
     imu: ImuColumns
     dvl: DvlColumns
     reference: ReferenceColumns | None = None
     truth: TruthColumns | None = None
-    sensors: Mapping[str, SensorColumns] = field(default_factory=dict)
-    solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)
-    topics: Mapping[str, SensorColumns] = field(default_factory=dict)
-    sha256: str = ""
-    channels: tuple[Channel, ...] = ()
-    notes: tuple[Note, ...] = field(default=())
-
-
-def apart_s(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
-    """Return the seconds from each time, shape (k,), to the nearest finite row of values, shape (r, n).
-
-    They are infinite where there is no finite row.
-    """
-    finite_ns = time_ns[np.isfinite(values).all(axis=1)]
-    if not len(finite_ns):
-        return np.full(len(at_ns), np.inf)
-    after = np.searchsorted(finite_ns, at_ns).clip(1, max(1, len(finite_ns) - 1))
-    neighbours = finite_ns[np.stack([after - 1, np.minimum(after, len(finite_ns) - 1)])]
-    return np.asarray(np.abs(seconds(neighbours, at_ns)).min(axis=0))
-
-
-def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
-    """Interpolate the finite rows of values, shape (r, n), at a time; outside them the nearest row stands."""
-    finite = np.flatnonzero(np.isfinite(values).all(axis=1))
-    after = int(np.searchsorted(time_ns[finite], at_ns))
-    near = finite[max(0, after - 1) : after + 1]
-    offset_s = seconds(time_ns[near], at_ns)
-    return np.array([np.interp(0.0, offset_s, column) for column in values[near].T])
+    sensors: Mapping[str, SensorColumns] = field(default_factory=dict)  # those of `states.SENSORS` that were asked for
+    solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)  # by filter
+    topics: Mapping[str, SensorColumns] = field(default_factory=dict)  # of ``[topics]``, as the log has them
+    sha256: str = ""  # of the log's bytes; empty for a dive that was never a file
+    channels: tuple[Channel, ...] = ()  # what the log holds
+    notes: tuple[Note, ...] = field(default=())  # what was dropped, assumed or found odd while reading

@@ -1,93 +1,56 @@
 """A dive for the record: what it is called, and what its log holds on each topic.
 
-Every result, table and baseline bears its dive's name, so that no two may share one. Whoever reads a stored report must
-not wait for numpy, which is not needed here.
+Every result, table and baseline bears its dive's name, so that no two may share one. Nothing here needs numpy.
 """
 
 import os
 from collections import Counter
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
 
+LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
+"""Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to."""
+LONGEST_NAME: Final = 255
+"""Bytes of a name that file systems keep."""
+
 
 @dataclass(frozen=True)
 class Clock:
-    """The stamps of a topic against the times at which it was recorded.
-
-    Attributes
-    ----------
-    stamp : str
-        Where the stamps come from, as the configuration names it.
-    messages : int
-        How many were read to know it.
-    log_minus_stamp_s : float
-        Median, as the log has it.
-    spread_s : float
-        From the 5th to the 95th percentile of log time minus stamp.
-    back_steps, repeats : int
-        Stamps that lie before, or at, the one before in the file.
-    rate_hz : float or None
-        By the stamps: those that differ, over the time between the first and the last; None where all repeat.
-    latency_s : float
-        What the configuration takes off the stamps, and was not taken off here.
-    """
+    """The stamps of a topic against the times at which it was recorded."""
 
     role: str
     topic: str
-    stamp: str
-    messages: int
-    log_minus_stamp_s: float
-    spread_s: float
-    back_steps: int
-    repeats: int
-    rate_hz: float | None
-    latency_s: float = 0.0
+    stamp: str  # where the stamps come from, as the configuration names it
+    messages: int  # how many were read to know it
+    log_minus_stamp_s: float  # median, as the log has it
+    spread_s: float  # from the 5th to the 95th percentile of log time minus stamp
+    back_steps: int  # stamps that are before the one before in the file
+    repeats: int  # stamps that equal it
+    rate_hz: float | None  # different stamps over the time between the first and the last; None where all repeat
+    latency_s: float = 0.0  # that the configuration takes off the stamps, and was not taken off here
 
 
 @dataclass(frozen=True)
 class Channel:
-    """What a log holds on one topic, for the record.
-
-    Attributes
-    ----------
-    topic, type_name, encoding : str
-        As the log names them.
-    role : str
-        ``imu``, ``dvl``, ``reference``, ``truth``, or empty where the replay has no use for it.
-    messages : int
-        How many messages the log holds.
-    """
+    """What a log holds on one topic."""
 
     topic: str
     type_name: str
     encoding: str
-    role: str
+    role: str  # ``imu``, ``dvl``, ``reference``, ``truth``, or empty where the replay has no use for it
     messages: int
-
-
-LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
-"""Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to."""
-NAMELESS: Final = "dive"
-"""What a dive is called whose file has no name but dots."""
-LONGEST_NAME: Final = 255
-"""Bytes of a name that file systems keep."""
 
 
 def dive_name(path: Path) -> str:
     """Name a dive after its file without the ending, or after its folder, in whose name a dot may be of a date."""
     whole = _whole(path)
     name = whole.name if whole.is_dir() else whole.stem
-    # `..mcap` would bear the name of the folder that its result lies in, and `...mcap` that of the one above.
-    return _writable(name if name.strip(".") else whole.name.strip(".") or NAMELESS)
-
-
-def _writable(name: str) -> str:
-    """Escape what is not UTF-8 in a name, so that it can be said that its dive cannot be used."""
-    return name.encode("utf-8", "backslashreplace").decode()
+    # `..mcap` would bear the name of the folder that its result is in, and `...mcap` that of the one above.
+    return _writable(name if name.strip(".") else whole.name.strip(".") or "dive")
 
 
 def is_dive_name(name: str) -> bool:
@@ -104,23 +67,27 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     """
     whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
     lengths = [1] * len(paths)
-    while again := _repeated([parts[-length:] for parts, length in zip(whole, lengths, strict=True)]):
-        if all(lengths[place] >= len(whole[place]) for place in again):
+    while True:
+        names = [_writable("_".join(parts[-length:])) for parts, length in zip(whole, lengths, strict=True)]
+        endings = [parts[-length:] for parts, length in zip(whole, lengths, strict=True)]
+        times = Counter(endings)
+        shared = [place for place, ending in enumerate(endings) if times[ending] > 1]
+        longer = [place for place in shared if lengths[place] < len(whole[place])]
+        if not longer:
             break
-        for place in again:
+        for place in shared:
             lengths[place] += 1
-    names = [_writable("_".join(parts[-length:])) for parts, length in zip(whole, lengths, strict=True)]
-    if again := _repeated(names):
-        both = " and ".join(str(paths[place]) for place in again if names[place] == names[again[0]])
-        raise ConfigError(f"{both} would share the name {names[again[0]]}", "rename one of them")
+    for name, count in Counter(names).items():
+        if count > 1:
+            both = " and ".join(str(path) for path, other in zip(paths, names, strict=True) if other == name)
+            raise ConfigError(f"{both} would share the name {name}", "rename one of them")
     return names
+
+
+def _writable(name: str) -> str:
+    """Escape what is not UTF-8 in a name, so that it can be said that its dive cannot be used."""
+    return name.encode("utf-8", "backslashreplace").decode()
 
 
 def _whole(path: Path) -> Path:
     return Path(os.path.abspath(path))  # noqa: PTH100  # resolves `..`, which is no name
-
-
-def _repeated(names: Sequence[Hashable]) -> list[int]:
-    """Return the places of names that there are twice."""
-    times = Counter(names)
-    return [place for place, name in enumerate(names) if times[name] > 1]

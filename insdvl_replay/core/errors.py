@@ -1,7 +1,17 @@
-"""What the tool says to its user: errors that end the work, notes that go with the result."""
+"""What reaches the user: errors that end the work, notes that go with the result, and text from elsewhere.
+
+A topic may hold whatever its recorder was given. A control character can move a terminal's cursor, a line break can
+begin what a job's log takes for a command, and a character that is not seen can turn the others round. Each becomes an
+escape that is seen. Escapes are for eyes: a backslash stays as it is, so they are not meant to be read back.
+"""
 
 import difflib
+import errno
 import heapq
+import os
+import re
+import stat
+import unicodedata
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +25,16 @@ ALIKE: Final = 0.6
 """Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak."""
 LISTED: Final = 8
 """Names that a hint lists."""
+_COMPARED: Final = 500
+"""Names that are compared with one letter by letter."""
+_LONGEST: Final = 200
+"""Letters of a name that are compared; a name that a user types has fewer."""
+_ACTING: Final = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
+"""Categories of Unicode: control, format that is not seen (bidi, joiners), lone surrogates, breaks of lines."""
+_COMMAND: Final = re.compile(r"^([^\S\n]*):(?=:)", re.MULTILINE)
+_OLD_COMMAND: Final = re.compile(r"#(?=#\w*\[)")
+_MOST_BYTES: Final = 1 << 24
+"""Of a text that is read: more than anybody writes by hand; a device may go on without end."""
 
 
 class UserError(Exception):
@@ -39,7 +59,7 @@ class UserError(Exception):
         return ": ".join((*self.where, self.what))
 
     def inside(self, *known: object) -> str:
-        """Return the sentence for whom it is clear already which places are meant."""
+        """Return the sentence without the places that the reader knows already."""
         places = {str(place) for place in known}
         return ": ".join((*(place for place in self.where if place not in places), self.what))
 
@@ -70,10 +90,15 @@ class LimitError(UserError):
     exit_code = 1
 
 
-_COMPARED: Final = 500
-"""Names that are compared with one letter by letter."""
-_LONGEST: Final = 200
-"""Letters of a name that are compared; a name that a user types has fewer."""
+@dataclass(frozen=True)
+class Note:
+    """A warning as data: what was dropped, assumed or found odd, and how often."""
+
+    code: str  # stable name for scripts, for example ``imu_gaps``
+    text: str  # one sentence for people, with values and units
+    count: int = 1  # samples, messages or places that it concerns
+    severity: Severity = Severity.INFO
+    hint: str = ""
 
 
 @contextmanager
@@ -87,11 +112,14 @@ def error_context(*where: object) -> Iterator[None]:
 
 @contextmanager
 def looked_for(path: Path) -> Iterator[None]:
-    """State why the system cannot look for a file: too long a name, or a folder that may not be entered."""
+    """Report why the system cannot look for a file: too long a name, or a folder that may not be entered."""
     try:
         yield
     except OSError as error:
         raise ConfigError(f"{path}: cannot be looked for: {error.strerror}", "check the path") from error
+
+
+# --- Names that were meant
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
@@ -100,10 +128,7 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def most_like(name: str, known: Iterable[str], most: int, least: float = 0.0) -> list[str]:
-    """Return the known names that are most like another, the most like first.
-
-    They have at least so large a share of letters in common with it.
-    """
+    """Return the known names with the largest share of letters in common with another, the most like first."""
     starts = {other[:_LONGEST]: other for other in known}
     compared: Collection[str] = starts
     if len(starts) > _COMPARED:
@@ -120,27 +145,90 @@ def listed(names: Iterable[str], most: int = LISTED) -> str:
     return ", ".join(first[:most]) + more
 
 
-def require_known(kind: str, name: str, known: Collection[str], *, within: str = "", most: int = LISTED) -> None:
-    """Raise a ConfigError, with the nearest name that is known, if a name is not known.
-
-    What stands before all of these names, such as ``dvl.``, is told with them.
-    """
+def require_known(kind: str, name: str, known: Collection[str], *, most: int = LISTED) -> None:
+    """Raise a ConfigError, with the nearest name that is known, if a name is not known."""
     if name not in known:
-        raise ConfigError(f"{kind} '{within}{name}' is not known", hint_for(name, known, within=within, most=most))
+        raise ConfigError(f"{kind} '{name}' is not known", hint_for(name, known, most=most))
 
 
-def hint_for(name: str, known: Collection[str], *, within: str = "", most: int = LISTED) -> str:
+def hint_for(name: str, known: Collection[str], *, most: int = LISTED) -> str:
     """Return the hint for a name that is not known: the nearest one, else those there are."""
     meant = nearest(name, known)
-    return f"did you mean {within}{meant}?" if meant else f"known: {listed(known, most)}"
+    return f"did you mean {meant}?" if meant else f"known: {listed(known, most)}"
 
 
-@dataclass(frozen=True)
-class Note:
-    """A warning as data: what was dropped, assumed or found odd, and how often."""
+# --- Text from elsewhere
 
-    code: str  # stable name for scripts, for example ``imu_gaps``
-    text: str  # one sentence for people, with values and units
-    count: int = 1  # samples, messages or places that it concerns
-    severity: Severity = Severity.INFO
-    hint: str = ""
+
+def read_text(path: Path) -> str:
+    """Read a text in UTF-8, with or without the mark that some editors put in front.
+
+    An OSError where it cannot be read, or has more than 16 MiB; a UnicodeDecodeError where it is not UTF-8.
+    """
+    with path.open("rb") as file:
+        data = file.read(_MOST_BYTES + 1)
+    if len(data) > _MOST_BYTES:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+    return data.decode("utf-8-sig")
+
+
+def read_regular(path: Path, most_bytes: int) -> bytes:
+    """Read a file that others name. An OSError where it cannot be read, is no regular file, or has more bytes."""
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:  # a named pipe is not waited for
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        data = file.read(most_bytes + 1)
+    if len(data) > most_bytes:
+        raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB", str(path))
+    return data
+
+
+NaturalKey = tuple[tuple[bool, int, str], ...]
+
+
+def natural_key(text: str) -> NaturalKey:
+    """Return a key that sorts names by their letters, and the numbers in them by size: dive 2 before dive 10."""
+    words = re.findall(r"\d+|\D+", text)
+    return tuple((not word.isdecimal(), int(word) if word.isdecimal() else 0, word) for word in words)
+
+
+def visible(text: str) -> str:
+    r"""Make one line of a text, with ``\x1b`` or ``\u202e`` for what acts and is not seen, ends of lines and tabs too.
+
+    What is such a text already stays as it is. ``##[`` and ``##name[``, which job runners take for commands anywhere in
+    a line, lose their beginning. From ``\u0080`` on, escapes are those of TOML, which has none of two digits.
+    """
+    if "##" in text:
+        text = _OLD_COMMAND.sub(lambda _: "\\u0023", text)
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def _shown(character: str) -> str:
+    if unicodedata.category(character) not in _ACTING:
+        return character
+    code = ord(character)
+    if code < 0x80:
+        return f"\\x{code:02x}"
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def visible_lines(text: str) -> str:
+    """Do the same with a text of several lines, which stay lines."""
+    return "\n".join(map(visible, text.split("\n")))
+
+
+def without_commands(text: str) -> str:
+    """Let no line of a text begin as commands to a job runner do: the first of two colons becomes an escape.
+
+    GitHub takes a line for a command that begins with ``::``, on stdout and on stderr, after blanks too.
+    """
+    return _COMMAND.sub(r"\1\\u003a", text)
+
+
+def is_writable(text: str) -> bool:
+    """Return whether a text can be written as UTF-8: a file's name of other bytes cannot, as Python reads it."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

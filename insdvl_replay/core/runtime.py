@@ -18,7 +18,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar, cast
 
@@ -111,6 +110,8 @@ def sources_digest(patterns: tuple[str, ...] = ("**/*",)) -> str:
 
 def cache_folder() -> Path:
     """Return the folder of the code that is compiled from these sources."""
+    from importlib.metadata import version  # which takes a tenth of the time of --help
+
     base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
     return Path(base) / f"compiled-{sources_digest(_COMPILED_SOURCES)}-numba-{version('numba')}"
 

@@ -11,8 +11,7 @@ from typing import Final
 from msgspec.structs import replace
 
 from insdvl_replay.core.config_file import converted, read_toml
-from insdvl_replay.core.errors import ConfigError, error_context, listed, require_known
-from insdvl_replay.core.plain_text import is_writable
+from insdvl_replay.core.errors import ConfigError, error_context, is_writable, listed, require_known
 from insdvl_replay.core.table import TableLayout
 from insdvl_replay.core.tables import CANDIDATES
 from insdvl_replay.core.words import GateLevel

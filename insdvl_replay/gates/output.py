@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.plain_text import visible, visible_lines
+from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.stored_report import Cell
 from insdvl_replay.core.table import PERCENTAGE
 from insdvl_replay.core.words import GateStatus

@@ -28,8 +28,7 @@ from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import LogError, Note, listed
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import LogError, Note, listed, visible
 from insdvl_replay.core.states import (
     ANGULAR_RATE_UNITS,
     BY_SENSOR,

@@ -1,6 +1,6 @@
 """Tables as CSV: UTF-8, LF, numbers in full, empty for what is missing, a row a line.
 
-Text is shown as everywhere (`plain_text`), and what a spreadsheet would run is kept from it by an apostrophe.
+Text is shown as everywhere (`errors.visible`), and what a spreadsheet would run is kept from it by an apostrophe.
 """
 
 import csv
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 from msgspec import Struct
 from msgspec.structs import astuple
 
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import visible
 
 if TYPE_CHECKING:
     # Only its type is needed, and whoever compares stored results must not wait for it.

@@ -11,8 +11,7 @@ from typing import Any, Final, Literal, TypeVar
 
 from msgspec import Struct
 
-from insdvl_replay.core.errors import Note
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.table import layout_of
 from insdvl_replay.report.plots.panel import Figure, Panel

@@ -1,13 +1,13 @@
 """A document as LaTeX, for a paper: sentences are comments, and tables need ``\\usepackage{booktabs}``.
 
-Text is shown as everywhere (`plain_text`) and cannot leave its place: no line break would end a comment.
+Text is shown as everywhere (`errors.visible`) and cannot leave its place: no line break would end a comment.
 """
 
 import re
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import visible
 from insdvl_replay.report.document import (
     Callout,
     CellText,

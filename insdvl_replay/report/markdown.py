@@ -1,13 +1,13 @@
 """A document as Markdown, for a merge request.
 
-Text is shown as everywhere (`plain_text`) and cannot leave its place: no HTML and no link of its own. Backticks stay,
+Text is shown by `errors.visible` and cannot leave its place: no HTML and no link of its own. Backticks stay,
 since hints have commands between them.
 """
 
 import re
 from collections.abc import Iterator
 
-from insdvl_replay.core.plain_text import visible, visible_lines
+from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.report.document import (
     Callout,
     CellText,

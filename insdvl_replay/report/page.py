@@ -7,7 +7,7 @@ from html import escape as html_escape
 from importlib.resources import files
 from typing import Final
 
-from insdvl_replay.core.plain_text import visible_lines
+from insdvl_replay.core.errors import visible_lines
 from insdvl_replay.report.document import (
     Callout,
     Code,

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from insdvl_replay.core.plain_text import visible, visible_lines
+from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.words import EvidenceWord, GateStatus, Judgement
 from insdvl_replay.report.document import (
     Callout,

@@ -8,7 +8,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import visible
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.stored_report import flattened
 from insdvl_replay.core.tables import Candidate

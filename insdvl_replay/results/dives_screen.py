@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from insdvl_replay.core.plain_text import natural_key
+from insdvl_replay.core.errors import natural_key
 from insdvl_replay.core.quantities import DECIDING_TOGETHER, HONESTY, label
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import EvidenceRow, PooledRow

@@ -14,8 +14,7 @@ from typing import Any, Final
 
 import msgspec
 
-from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.plain_text import read_regular
+from insdvl_replay.core.errors import ConfigError, read_regular
 from insdvl_replay.core.tables import TABLES
 
 COMPLETE: Final = "report.json"

@@ -9,9 +9,8 @@ import numpy as np
 from insdvl_replay import __version__, logs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, seconds
-from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.errors import ConfigError, visible
 from insdvl_replay.core.history import History
-from insdvl_replay.core.plain_text import visible
 from insdvl_replay.core.quantities import WITHHELD, is_whole
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, DVL_AIDING, MG, STATES

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.errors import Note, UserError
-from insdvl_replay.core.plain_text import visible_lines
+from insdvl_replay.core.errors import Note, UserError, visible_lines
 
 Cases = Iterator[tuple[str, str]]
 """Names of cases, and what is said in each."""

@@ -13,8 +13,7 @@ import numpy as np
 
 from insdvl_replay.core.config import MOST_BYTES, Solution
 from insdvl_replay.core.dive_columns import NS_PER_S, ReferenceColumns, SolutionColumns, TimeNs, is_new
-from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.plain_text import read_regular
+from insdvl_replay.core.errors import LogError, Note, read_regular
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat

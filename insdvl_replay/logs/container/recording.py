@@ -12,8 +12,7 @@ from typing import Any, Final, TypeVar
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
-from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.plain_text import is_writable, read_text, visible
+from insdvl_replay.core.errors import LogError, Note, is_writable, read_text, visible
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.container.blocks import Block
 from insdvl_replay.logs.container.log_file import LogFile

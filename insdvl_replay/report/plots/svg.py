@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import visible
 from insdvl_replay.report.plots.axis import Axis, limits
 from insdvl_replay.report.plots.envelope import band_envelope, envelope, shared_columns, without_standstill
 from insdvl_replay.report.plots.panel import Band, Curve, Figure, Panel
