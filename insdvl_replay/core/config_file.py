@@ -24,6 +24,7 @@ from insdvl_replay.core.errors import (
     LISTED,
     ConfigError,
     error_context,
+    hint_for,
     is_writable,
     listed,
     most_like,
@@ -133,17 +134,7 @@ def _explained(
     error: msgspec.ValidationError, table: Any, kind: type[Struct], source: TomlSource, at: KeyPath
 ) -> ConfigError:
     """Return the sentence on a mistake in a table."""
-    for *above, key, known in _unknown_keys(table, kind):
-        within = f"{_dotted(*at, *above)}.".removeprefix(".")
-        meant = [within + name for name in _likely_names(key, known)]
-        if not meant:
-            outside = [f"{_dotted(*at)}.{path}".removeprefix(".") for path in _known_paths(kind)]
-            meant = [path for path in outside if path.rpartition(".")[2] == key][:3] or _with_words(key, outside, 2)
-        hint = f"known: {listed(known)}{f'; {source.hint}' if len(known) > LISTED else ''}"
-        if meant:
-            hint = f"did you mean {', '.join(meant[:-1])}{' or ' if meant[1:] else ''}{meant[-1]}?"
-        return ConfigError(f"key '{within}{key}' is not known", hint)
-    reason, _, place = str(error).partition(" - at `$.")
+    reason, place = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", str(error), re.DOTALL).groups("")  # type: ignore[union-attr]
     keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
     value, wanted = table, kind
     for key in keys:
@@ -151,8 +142,11 @@ def _explained(
         if isinstance(key, str) and (structure := _structure(wanted)) is not None:
             wanted = get_type_hints(structure)[key]
     name = _dotted(*at, *keys)
+    if (unknown := re.fullmatch(r"Object contains unknown field `(.*)`", reason, re.DOTALL)) is not None:
+        known = structure.__struct_fields__ if (structure := _structure(wanted)) is not None else ()
+        return _unknown_key(unknown[1], known, name, [f"{_dotted(*at)}.{path}" for path in _known_paths(kind)], source)
     if isinstance(value, str) and (words := tuple(_words(wanted))) and value not in words:
-        require_known(name, value, words)
+        return ConfigError(f"{name} '{value}' is not known", hint_for(value, words))
     shown = repr(value) if len(repr(value)) <= 80 else f"{repr(value)[:80]}..."
     if reason.startswith("Expected `object`") and name and not name.endswith("]"):
         return ConfigError(f"{name} is a section, found {shown}", f"write [{name}]")
@@ -161,6 +155,23 @@ def _explained(
         f"{f'{name}: ' if name else ''}{value_wanted(reason)}{f', found {shown}' if keys else ''}",
         f"a list is written so: {source.assigned.format(name, example)}" if example else source.hint,
     )
+
+
+def _unknown_key(
+    key: str, known: Sequence[str], within: str, elsewhere: Sequence[str], source: TomlSource
+) -> ConfigError:
+    """Return the sentence on a key that is not known, with those that were likely meant, here or elsewhere."""
+    inside = f"{within}.".removeprefix(".")
+    near = nearest(key, known)
+    meant = most_like(key, known, most=1, least=_MISSPELLED) or _with_words(key, known, 1) or ([near] if near else [])
+    meant = [inside + name for name in meant]
+    if not meant:
+        paths = [path.removeprefix(".") for path in elsewhere]
+        meant = [path for path in paths if path.rpartition(".")[2] == key][:3] or _with_words(key, paths, 2)
+    hint = f"known: {listed(known)}{f'; {source.hint}' if len(known) > LISTED else ''}"
+    if meant:
+        hint = f"did you mean {', '.join(meant[:-1])}{' or ' if meant[1:] else ''}{meant[-1]}?"
+    return ConfigError(f"key '{inside}{key}' is not known", hint)
 
 
 def value_wanted(reason: str) -> str:
@@ -201,17 +212,6 @@ def _structure(hint: object) -> type[Struct] | None:
     return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, Struct)), None)
 
 
-def _unknown_keys(table: object, kind: type[Struct]) -> Iterator[tuple[Any, ...]]:
-    """Yield the tables above each key that is not known, the key, and the known ones."""
-    hints = get_type_hints(kind)
-    for key, value in table.items() if isinstance(table, Mapping) else ():
-        if key not in kind.__struct_fields__:
-            yield key, kind.__struct_fields__
-        elif (inner := _structure(hints[key])) is not None:
-            for found in _unknown_keys(value, inner):
-                yield key, *found
-
-
 def _known_paths(kind: type[Struct], above: str = "") -> Iterator[str]:
     """Yield the dotted path of every key of a structure and of those inside it."""
     for name, hint in get_type_hints(kind).items():
@@ -230,13 +230,6 @@ def _words(hint: object) -> Iterator[str]:
             yield inner
         else:
             yield from _words(inner)
-
-
-def _likely_names(name: str, known: Collection[str]) -> list[str]:
-    """Return the known names of which another may be a slip: the most likely, or several that are as likely."""
-    near = nearest(name, known)
-    misspelled = most_like(name, known, most=1, least=_MISSPELLED)
-    return misspelled or _with_words(name, known, 1) or ([near] if near else [])
 
 
 def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
@@ -283,7 +276,8 @@ def load_config(
         code that is not allowed.
     """
     preset = preset or PRESETS[0]
-    require_known_preset(preset)
+    if preset not in PRESETS:
+        raise ConfigError(f"preset '{preset}' is not known", f"use one of: {', '.join(PRESETS)}")
     text = resources.files("insdvl_replay").joinpath("presets", f"{preset}.toml").read_text("utf-8")
     layers = [TomlSource(f"preset {preset}", content=parse_toml(text))]
     for path in [file] if isinstance(file, Path) else file or ():
@@ -307,12 +301,6 @@ def load_config(
         raise
     _check_across_keys(config, [*layers, *changes], allow_code=allow_code)
     return _with_digests(config)
-
-
-def require_known_preset(name: str) -> None:
-    """Raise a ConfigError if there is no such preset."""
-    if name not in PRESETS:
-        raise ConfigError(f"preset '{name}' is not known", f"use one of: {', '.join(PRESETS)}")
 
 
 def _parse_override(text: str) -> TomlSource:

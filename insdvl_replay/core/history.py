@@ -1,4 +1,4 @@
-"""What one filter believed and when, and each innovation it met."""
+"""What one filter estimated and when, and each innovation it met."""
 
 from dataclasses import dataclass, field, replace
 
@@ -11,61 +11,25 @@ from insdvl_replay.core.states import POSITION, STATES, State
 
 @dataclass(frozen=True)
 class Innovations:
-    """All updates of one kind of measurement.
+    """All updates of one kind of measurement."""
 
-    Attributes
-    ----------
-    measurement : str
-        Its name, such as ``velocity``.
-    unit : str
-        Unit of the innovation.
-    axes : tuple of str
-        Names of its components; none of a measurement that has one.
-    time_ns : ndarray, shape (m,)
-        Time of each update.
-    valid_ns : ndarray, shape (m,)
-        Time of validity of what was measured: a slope's lies in the middle of its window.
-    measured : ndarray, shape (m, s)
-        What the sensor said, the DVL in b.
-    innovation : ndarray, shape (m, s)
-        Predicted minus measured.
-    sd : ndarray, shape (m, s)
-        Square roots of the diagonal of S = H P H' + R.
-    nis : ndarray, shape (m,)
-        Normalised innovation squared, z' S^-1 z.
-    used : ndarray of bool, shape (m,)
-        False where the gate rejected it.
-    log_det : ndarray, shape (m,)
-        Logarithm of the determinant of S, for the likelihood.
-    gate : float
-        Largest NIS that was used; infinite where none was rejected.
-    reopen_after : int
-        Rejections in a row after which the velocity's uncertainty was opened; 0: never.
-    reopened : ndarray of bool, shape (m,)
-        Used in spite of the gate, after so many rejections in a row that the velocity's uncertainty was opened; NIS and
-        standard deviations are those before.
-    noise_factor : float
-        By how much R is larger at the end than it is said to be, by the innovations; 1 but for adaptive noise.
-    holds_height : bool
-        It measures the velocity down, see `nav.earth_model.GravityHeight`.
-    """
-
-    measurement: str
+    measurement: str  # its name, such as ``velocity``
     unit: str
-    axes: tuple[str, ...]
-    time_ns: TimeNs
-    valid_ns: TimeNs
-    measured: Floats
-    innovation: Floats
-    sd: Floats
-    nis: Floats
-    used: NDArray[np.bool_]
-    log_det: Floats
-    gate: float
-    reopen_after: int
+    axes: tuple[str, ...]  # names of its components; none of a measurement that has one
+    time_ns: TimeNs  # (m,) of the updates
+    valid_ns: TimeNs  # (m,) of validity of what was measured: a slope's is in the middle of its window
+    measured: Floats  # (m, s), of the DVL in b
+    innovation: Floats  # (m, s) predicted minus measured
+    sd: Floats  # (m, s) square roots of the diagonal of S = H P H' + R
+    nis: Floats  # (m,) z' S^-1 z
+    used: NDArray[np.bool_]  # (m,) false where the gate rejected it
+    log_det: Floats  # (m,) logarithm of the determinant of S, for the likelihood
+    gate: float  # largest NIS that was used; infinite where none was rejected; negative of a held-out sensor
+    reopen_after: int  # rejections in a row after which the velocity's uncertainty was opened; 0: never
+    # (m,) used in spite of the gate, after so many rejections in a row; NIS and standard deviations are those before
     reopened: NDArray[np.bool_]
-    noise_factor: float = 1.0
-    holds_height: bool = False
+    noise_factor: float = 1.0  # by which R is larger at the end than configured; 1 but for adaptive noise
+    holds_height: bool = False  # it measures the velocity down, see `nav.earth_model.GravityHeight`
 
     @property
     def dof(self) -> int:
@@ -76,8 +40,8 @@ class Innovations:
     def weight(self) -> Floats:
         """The share of each NIS that counts in a mean, shape (m,): of one beyond the gate, as much as the gate is.
 
-        Left out, the rejected ones would let a filter that has lost its way seem in order; in full, a single outlier
-        of the DVL, which a gate is there for, would decide over all others.
+        Left out, the rejected ones would let a diverged filter seem in order; in full, a single outlier of the DVL,
+        which a gate is there for, would decide over all others.
         """
         if self.is_withheld or not np.isfinite(self.gate):
             return np.ones_like(self.nis)
@@ -86,7 +50,7 @@ class Innovations:
 
     @property
     def is_withheld(self) -> bool:
-        """Whether the filter was told of none of them."""
+        """Whether the filter got none of them."""
         return self.gate < 0.0
 
     @property
@@ -100,70 +64,32 @@ class Innovations:
 class History:
     """States and uncertainties of one filter at the start, after each ping, at each reference time and at the end.
 
-    Of a solution that was read and not run, the same at the same times, NaN where it says nothing.
-
-    Attributes
-    ----------
-    filter : str
-        The filter's name in the configuration.
-    time_ns : ndarray, shape (k,)
-        Times, strictly increasing.
-    updated : ndarray of bool, shape (k,)
-        Whether a ping was used here. The first row is the start, the last updated one is the end of what a filter
-        learnt.
-    position : ndarray, shape (k, 3)
-        Latitude rad, longitude rad, height m.
-    velocity_n : ndarray, shape (k, 3)
-        Velocity over ground, m/s.
-    mat_nb : ndarray, shape (k, 3, 3)
-        Attitude.
-    accel_bias_b, gyro_bias_b : ndarray, shape (k, 3)
-        Estimated sensor biases, m/s^2 and rad/s.
-    sd : ndarray, shape (k, n)
-        Square roots of the diagonal of P, SI units, in the order of the states.
-    cov_ns : ndarray, shape (c,)
-        Those of the times at which P itself was asked for.
-    cov : ndarray, shape (c, n, n)
-        P at these times.
-    innovations : tuple of Innovations
-        One entry for each kind of aiding, in the filter's order.
-    states : tuple of State
-        What it estimates: the twelve of `states.STATES`, and perhaps more.
-    constants : ndarray, shape (k, c)
-        What it takes the constants of the sensors to be, the last c of its states, SI units.
-    is_partial : bool
-        Whether NaN means that it says nothing there, as of a recorded solution, and not that it broke down.
-    has_own_start : bool
-        Whether it did not start with the others on the reference.
-    is_turned : bool
-        Whether the heading of a solution was laid on the baseline's, so that it does not err at first.
-    corrected : ndarray, shape (k, 3)
-        Sum of all corrections of the position up to each time, in the units of ``position``; no rows where the filter
-        makes none.
+    Of a solution that was read and not run, the same at the same times, NaN where it has none.
     """
 
-    filter: str
-    time_ns: TimeNs
-    updated: NDArray[np.bool_]
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    accel_bias_b: Floats
-    gyro_bias_b: Floats
-    sd: Floats
-    cov_ns: TimeNs
-    cov: Floats
-    innovations: tuple[Innovations, ...]
-    states: tuple[State, ...] = STATES
-    constants: Floats = field(default_factory=lambda: np.empty((0, 0)))
-    is_partial: bool = False
-    has_own_start: bool = False
-    is_turned: bool = False
+    filter: str  # its name in the configuration
+    time_ns: TimeNs  # (k,) strictly increasing
+    updated: NDArray[np.bool_]  # (k,) whether a ping was used; the last one is the end of what a filter learnt
+    position: Floats  # (k, 3) latitude rad, longitude rad, height m
+    velocity_n: Floats  # (k, 3) over ground, m/s
+    mat_nb: Floats  # (k, 3, 3)
+    accel_bias_b: Floats  # (k, 3) m/s^2
+    gyro_bias_b: Floats  # (k, 3) rad/s
+    sd: Floats  # (k, n) square roots of the diagonal of P, SI units, in the order of the states
+    cov_ns: TimeNs  # (c,) those of the times at which P itself was asked for
+    cov: Floats  # (c, n, n) P at these times
+    innovations: tuple[Innovations, ...]  # one for each kind of aiding, in the filter's order
+    states: tuple[State, ...] = STATES  # the twelve, and perhaps more
+    constants: Floats = field(default_factory=lambda: np.empty((0, 0)))  # (k, c) estimates of the last c states, SI
+    is_partial: bool = False  # whether NaN means that it has nothing there, as of a solution, and not that it diverged
+    has_own_start: bool = False  # whether it did not start with the others on the reference
+    is_turned: bool = False  # whether the heading of a solution was aligned with the baseline's
+    # (k, 3) sum of all corrections of the position, in its units; no rows where the filter makes none
     corrected: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def believed(self) -> NDArray[np.bool_]:
-        """Of which states it says how sure it is, shape (n,): all of a filter that was run, even if it broke down."""
+        """Which states have a standard deviation, shape (n,): all of a filter that was run, even if it diverged."""
         return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_partial))
 
     @property
@@ -179,11 +105,11 @@ class History:
     @property
     def reopened_ns(self) -> TimeNs:
         """Times at which it was set to the DVL again, by a velocity or by beams, shape (r,)."""
-        times = [one.time_ns[one.reopened] for one in self.innovations]
+        times = [innovations.time_ns[innovations.reopened] for innovations in self.innovations]
         return np.unique(np.concatenate([np.empty(0, np.int64), *times]))
 
     def motion(self) -> ReferenceColumns:
-        """Return where it is and how it moves, in the rows that say anything of that."""
+        """Return where it is and how it moves; of a solution in the rows that have any of that."""
         motion = ReferenceColumns(self.time_ns, self.position, self.velocity_n, self.mat_nb)
         return motion.rows(np.any(list(motion.known.values()), axis=0)) if self.is_partial else motion
 
