@@ -100,7 +100,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         config.reference.position_sd_m, config.reference.velocity_sd_mps, config.reference.attitude_sd_deg
     )
     errors, tables = tables_of_filters(
-        dive, runs.histories, runs.drawn, runs.coasts, noise, prepared.sensor_sd,
+        dive, runs.histories, runs.drawn, runs.outages, noise, prepared.sensor_sd,
         jump_table(dive.name, runs.histories, runs.motions),
         start_ns=span[0], bridged_gaps=len(prepared.gaps.start_ns) > 0,
     )  # fmt: skip
@@ -117,5 +117,5 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     tables, verdicts = judged_candidates(runs.histories, errors, tables, notes, independent=independent)
     notes += settings_hints(tables, baseline) + constants_notes(runs.histories)
     histories = runs.histories if keep_cov else tuple(history.without_cov() for history in runs.histories)
-    curves = curves_of(runs.drawn, runs.coasts)
+    curves = curves_of(runs.drawn, runs.outages)
     return Replay(dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes)

@@ -63,11 +63,11 @@ from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.consistency import CLASSES, sensor_class
 from insdvl_replay.evaluation.outage_test import outage_test_table
 from insdvl_replay.preparation.run import (
-    coasting_of,
-    coasting_plan,
+    outage_plan,
     prepare_with_heading,
     prepared_timeline,
     run_filters,
+    run_outages,
 )
 
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
@@ -307,9 +307,9 @@ def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = Non
         nis.append(float(np.mean(asked.history(tried).innovations[0].nis)) / 3.0)
         pings = moved_pings(prepared.velocities, tried).within(prepared.alignment.start_ns, prepared.end_ns)
         moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried))
-        plan, timeline = coasting_plan(moved), prepared_timeline(read.dive, moved)
+        plan, timeline = outage_plan(moved), prepared_timeline(read.dive, moved)
         histories = run_filters(moved, timeline, cov_ns=plan.start_ns)
-        drifts = coasting_of(read.dive, alone, moved, timeline, histories, plan)
+        drifts = run_outages(read.dive, alone, moved, timeline, histories, plan)
         rows = outage_test_table(read.dive.name, drifts)
         outages.append(next((row for row in rows if row.window_s == OUTAGE_S), None))
     windows = outages[0].windows if outages[0] else 0

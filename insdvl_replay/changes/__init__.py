@@ -1,1 +1,1 @@
-"""What moved between results: `cells` lays the tables of two results side by side, `comparison` many dives of them."""
+"""What moved between results, cell by cell (`cells`): over many dives (`comparison`), and against rules (`gates`)."""

@@ -42,8 +42,7 @@ from insdvl_replay.results.stored_results import read_results
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 """What may differ beside the tables, in the order of what a reader asks first."""
 ALIKE: Final = "tool, settings and log do not differ"
-MOST_BESIDE: Final = 12
-"""So many values that moved beside the evidence are shown in brief."""
+MOST_BESIDE: Final = 12  # so many values that moved beside the evidence are shown in brief
 _MOST_DIFFERENCES: Final = 8
 _NAMED_DIVES: Final = 2
 _HASH_DIGITS: Final = 12
@@ -87,6 +86,11 @@ class DiveComparison(Struct, frozen=True):
     new: str | None
     matched_by: MatchedBy
     tally: Tally | None
+
+    @property
+    def only_side(self) -> ChangeWord:
+        """What a dive without counterpart is."""
+        return ChangeWord.GONE if self.new is None else ChangeWord.NEW
 
 
 class Aggregate(Struct, frozen=True):
@@ -146,12 +150,7 @@ class Selection(NamedTuple):
 def compare_results(old: Path, new: Path, selection: Selection = Selection()) -> Comparison:
     """Compare two sets of results, each a report.json, a result folder or a folder of such at any depth.
 
-    Raises
-    ------
-    ConfigError
-        There is no result, no dive or no candidate on both sides, or a name in the selection is not known.
-    ResultError
-        A report cannot be read.
+    ConfigError where both sides share no dive or no candidate, or a name in the selection is not known.
     """
     for name in selection.tables:
         require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
@@ -167,23 +166,14 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     pairs = [(was, is_) for was, (_, is_) in zip(renamed, as_stored, strict=True)]
     notes = (*notes_before, *notes_after, *require_common_candidate(pairs), *_table_notes(pairs, layouts))
     _require_something(pairs, layouts, selection.columns)
-    by_dive = [
-        [
-            change
-            for change in changes_of(was, is_, layouts, selection.tolerance_pct)
-            if not selection.columns or change.column in selection.columns
-        ]
-        for was, is_ in pairs
-    ]
-    changes = [change for of_dive in by_dive for change in of_dive]
-    dives = [
-        *(
-            DiveComparison(is_.name, str(was.folder), str(is_.folder), how, tally(of_dive))
-            for (was, is_, how), of_dive in zip(matching.pairs, by_dive, strict=True)
-        ),
-        *(DiveComparison(gone.name, str(gone.folder), None, MatchedBy.NOTHING, None) for gone in matching.removed),
-        *(DiveComparison(added.name, None, str(added.folder), MatchedBy.NOTHING, None) for added in matching.new),
-    ]
+    changes, dives = list[Change](), list[DiveComparison]()
+    for (was, is_), (_, _, how) in zip(pairs, matching.pairs, strict=True):
+        cells = changes_of(was, is_, layouts, selection.tolerance_pct)
+        found = [cell for cell in cells if not selection.columns or cell.column in selection.columns]
+        dives.append(DiveComparison(is_.name, str(was.folder), str(is_.folder), how, tally(found)))
+        changes += found
+    dives += [DiveComparison(gone.name, str(gone.folder), None, MatchedBy.NOTHING, None) for gone in matching.removed]
+    dives += [DiveComparison(added.name, None, str(added.folder), MatchedBy.NOTHING, None) for added in matching.new]
     tables = dict.fromkeys(change.table for change in changes)
     return Comparison(
         old=str(old),
@@ -515,7 +505,7 @@ def brief_document(comparison: Comparison) -> list[Part]:
     tables = list(_evidence_that_moved(comparison))
     if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_BESIDE:
         tables = [_values(moved)]
-    apart = tuple(f"{_only_side(dive)}: {dive.log}" for dive in comparison.dives if dive.tally is None)
+    apart = tuple(f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None)
     verdicts = _changed_verdicts(comparison)
     return [
         Title(_title(comparison)),
@@ -701,34 +691,28 @@ def _cell_name(cell: Change | Aggregate) -> str:
 
 
 def _values(changes: Sequence[Change]) -> DisplayTable:
-    return table_of(
-        "Values, old and new",
-        changes,
-        [
-            ("value", "l", _cell_name),
-            ("old", "r", lambda change: FORMS["cell"](change.old)),
-            ("new", "r", lambda change: FORMS["cell"](change.new)),
-            ("change", "r", lambda change: growth(change) if change.change is not None else MISSING),
-            ("", "l", lambda change: change.word),
-        ],
-        "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof",
-    )
+    columns = [
+        ("value", "l", _cell_name),
+        ("old", "r", lambda change: FORMS["cell"](change.old)),
+        ("new", "r", lambda change: FORMS["cell"](change.new)),
+        ("change", "r", lambda change: growth(change) if change.change is not None else MISSING),
+        ("", "l", lambda change: change.word),
+    ]
+    footnote = "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof"
+    return table_of("Values, old and new", changes, columns, footnote)
 
 
 def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
-    return table_of(
-        "Values over the dives",
-        cells,
-        [
-            ("value", "l", _cell_name),
-            ("dives", "r", lambda cell: str(cell.dives)),
-            ("better", "r", lambda cell: str(cell.better)),
-            ("worse", "r", lambda cell: str(cell.worse)),
-            ("median\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
-            ("worst\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
-            ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeWord.SAME else cell.worst_log),
-        ],
-    )
+    columns = [
+        ("value", "l", _cell_name),
+        ("dives", "r", lambda cell: str(cell.dives)),
+        ("better", "r", lambda cell: str(cell.better)),
+        ("worse", "r", lambda cell: str(cell.worse)),
+        ("median\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
+        ("worst\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
+        ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeWord.SAME else cell.worst_log),
+    ]
+    return table_of("Values over the dives", cells, columns)
 
 
 def _moved_elsewhere(comparison: Comparison) -> str:
@@ -757,16 +741,12 @@ def _differences_table(comparison: Comparison) -> DisplayTable:
     )
 
 
-def _only_side(dive: DiveComparison) -> ChangeWord:
-    return ChangeWord.GONE if dive.new is None else ChangeWord.NEW
-
-
 def _dives_table(dives: Sequence[DiveComparison]) -> DisplayTable:
     """Show the dives in which something moved, and count the others."""
     moved = [dive for dive in dives if dive.tally is None or dive.tally.moved]
     still = len(dives) - len(moved)
     footnote = f"and {counted(still, 'dive')} in which nothing moved" if still else ""
-    return _tallies("Dives", "dive", [(dive.log, dive.tally, _only_side(dive)) for dive in moved], footnote)
+    return _tallies("Dives", "dive", [(dive.log, dive.tally, dive.only_side) for dive in moved], footnote)
 
 
 def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]], footnote: str = "") -> DisplayTable:

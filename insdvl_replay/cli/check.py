@@ -74,20 +74,22 @@ def check(
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+    from insdvl_replay.changes import formats as written
+    from insdvl_replay.changes.gates import (
+        Checked,
+        checked_replay,
+        checked_results,
+        chosen_gates,
+        compare_with_baselines,
+        evaluate_gates,
+        load_gates,
+        require_known_names,
+        write_baselines,
+    )
     from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
     from insdvl_replay.cli.run import outcomes
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
-    from insdvl_replay.gates import output as written
-    from insdvl_replay.gates.checking import (
-        Checked,
-        checked_replay,
-        checked_results,
-        compare_with_baselines,
-        evaluate_gates,
-        write_baselines,
-    )
-    from insdvl_replay.gates.gate_file import chosen_gates, load_gates, require_known_names
     from insdvl_replay.results.folder import COMPLETE, require_replaceable_file, result_file
 
     # What is asked for

@@ -36,10 +36,11 @@ from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.dvl import parity_innovations
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.outage import run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
-from insdvl_replay.preparation.plugins import in_outages
+from insdvl_replay.preparation.plugins import Outage, in_outages
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.solutions import recorded_history
 
@@ -124,7 +125,7 @@ class Runs:
 
     histories: tuple[History, ...]
     drawn: tuple[DrawnErrors, ...]  # from drawn starts; empty without a reference
-    coasts: OutageRuns  # in windows without the DVL, of those that can be run there
+    outages: OutageRuns  # in windows without the DVL, of those that can be run there
     motions: dict[str, ReferenceColumns]  # of recorded solutions, by name: positions and velocities of each sample
     notes: tuple[Note, ...]
 
@@ -134,7 +135,7 @@ def plan_runs(dive: Dive, prepared: Prepared, config: Config) -> RunPlan:
     span = prepared.alignment.start_ns, prepared.end_ns
     starts = config.evaluation.starts if dive.reference is not None else 0
     judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
-    return RunPlan(judged_ns, coasting_plan(prepared), starts, config.evaluation.seed)
+    return RunPlan(judged_ns, outage_plan(prepared), starts, config.evaluation.seed)
 
 
 def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
@@ -149,12 +150,12 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
         RecordedSolution(name, settings, histories[0], plan.judged_ns) for name, settings in config.solutions.items()
     ]
     found = tuple(candidate.run(whole, start) for candidate in recorded)
-    coasts = coasting_of(dive, config, prepared, timeline, histories, plan.windows)
+    outages = run_outages(dive, config, prepared, timeline, histories, plan.windows)
     histories += found
     drawn = run_from_drawn_starts(dive, prepared, plan.starts, plan.seed) if plan.starts else ()
     motions = {candidate.name: candidate.motion for candidate in recorded if candidate.motion is not None}
     notes = tuple(note for candidate in recorded for note in candidate.notes)
-    return Runs(histories, with_solutions(drawn, histories, dive), coasts, motions, notes)
+    return Runs(histories, with_solutions(drawn, histories, dive), outages, motions, notes)
 
 
 def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
@@ -212,13 +213,13 @@ def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
 # --- Windows without the DVL.
 
 
-def coasting_plan(prepared: Prepared) -> OutagePlan:
+def outage_plan(prepared: Prepared) -> OutagePlan:
     """Choose the windows without the DVL; a history has to hold all of P at their ``start_ns``."""
     start_ns, end_ns = prepared.alignment.start_ns, prepared.end_ns
     return plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, start_ns, end_ns)
 
 
-def coasting_of(
+def run_outages(
     dive: Dive,
     config: Config,
     prepared: Prepared,
@@ -231,14 +232,14 @@ def coasting_of(
     User code is given the dive without the pings of each window.
     """
     report_stage("coasting without velocities")
-    groups = [
-        (windows, sensors, prepared_timeline(dive, replace(prepared, sensors=sensors)) if changed_ else timeline)
-        for windows, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns))
-        for changed_ in (sensors is not prepared.sensors,)
-    ]
+    groups = list[tuple[Sequence[Outage], dict[str, Measurement], Timeline]]()
+    for windows, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns)):
+        outage_dive = None if sensors is prepared.sensors else replace(prepared, sensors=sensors)
+        line = timeline if outage_dive is None else prepared_timeline(dive, outage_dive)
+        groups.append((windows, sensors, line))
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
-    def coasts(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
+    def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
         found = dict[tuple[int, int], OutageRun]()
         (velocity,) = replace(filter_, aiding=("velocity",), withheld=()).measurements(*measured)
         for windows, sensors, line in groups:
@@ -252,7 +253,7 @@ def coasting_of(
             found |= {window: outage_run(run_on(window)) for window in windows}
         return tuple(found[window] for window in plan.windows_ns)
 
-    runs = _side_by_side(timeline, coasts, prepared.filters, histories)
+    runs = _side_by_side(timeline, outages, prepared.filters, histories)
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
     return OutageRuns(
         plan, distance_m, {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)}

@@ -14,11 +14,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from insdvl_replay.changes.formats import github_annotations
+from insdvl_replay.changes.gates import CheckResult, Judgement
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import visible, visible_lines, without_commands
-from insdvl_replay.gates.model import CheckResult, Judgement
-from insdvl_replay.gates.output import github_annotations
 from insdvl_replay.report.csv_tables import rows_csv
 from insdvl_replay.report.document import Code, DisplayTable, Sentences, Title
 from insdvl_replay.report.latex import as_latex

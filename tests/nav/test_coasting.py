@@ -21,7 +21,7 @@ from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.outage import restart, run_outage
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.preparation.run import coasting_of, coasting_plan, prepared_timeline, run_filters, run_one
+from insdvl_replay.preparation.run import outage_plan, prepared_timeline, run_filters, run_one, run_outages
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.studies.simulated_run import make_setup, run_seed
 
@@ -292,9 +292,9 @@ def test_nis_of_the_last_withheld_ping_is_that_of_a_filter_that_knows_its_noise(
     for run in range(60):
         dive = add_errors(world.exact, world.imu_errors, world.dvl_errors, run_seed(1, run))
         start = prepare_dive(dive, config)
-        timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
+        timeline, plan = prepared_timeline(dive, start), outage_plan(start)
         histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-        runs = coasting_of(dive, config, start, timeline, histories, plan).runs["baseline"]
+        runs = run_outages(dive, config, start, timeline, histories, plan).runs["baseline"]
         nis.append(runs[-1].nis[-1])
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nis)) / (3 * len(nis))
     assert low < np.mean(nis) / 3.0 < high
@@ -304,11 +304,11 @@ def test_windows_on_a_long_dive_run_in_threads_and_are_the_same(monkeypatch: pyt
     dive = simulate_dive("figure-eight", seed=4, duration_s=230.0, imu_rate_hz=20.0)
     config = Config()
     start = prepare_dive(dive, config)
-    timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
+    timeline, plan = prepared_timeline(dive, start), outage_plan(start)
     histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-    in_turn = coasting_of(dive, config, start, timeline, histories, plan)
+    in_turn = run_outages(dive, config, start, timeline, histories, plan)
     monkeypatch.setattr("insdvl_replay.preparation.run.WORTH_A_THREAD", 0)
-    threaded = coasting_of(dive, config, start, timeline, histories, plan)
+    threaded = run_outages(dive, config, start, timeline, histories, plan)
     assert list(threaded.runs) == [filter_.name for filter_ in start.filters]
     for name, runs in in_turn.runs.items():
         for one, other in zip(runs, threaded.runs[name], strict=True):

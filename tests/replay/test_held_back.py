@@ -250,6 +250,29 @@ def test_readings_in_an_outage_are_those_of_a_dive_that_ends_with_it(
         np.testing.assert_allclose(np.sqrt(np.diagonal(measurement.cov[rows], axis1=1, axis2=2)), sd, rtol=1e-12)
 
 
+class Beside(Copy):
+    """A class that needs the onboard solution."""
+
+    def readings(self, dive: Dive) -> UserReadings:
+        """Take the readings of the pings, where there is the solution."""
+        assert len(dive.solutions["mine"].motion.time_ns)
+        return super().readings(dive)
+
+
+def test_a_recorded_solution_is_there_in_outages_too() -> None:
+    dive = simulate_dive("lawnmower", seed=4, duration_s=170.0, imu_rate_hz=20.0, dvl_rate_hz=2.0)
+    assert dive.reference is not None
+    solution = SolutionColumns(dive.reference, None, dive.reference.time_ns[:0], np.empty((0, 9, 9)))
+    filters = {
+        "baseline": Filter(aiding=("velocity",)),
+        "beside": Filter(aiding=(f"{HERE}:Beside",)),
+        "mine": Filter(solution="/mine"),
+    }
+    config = Config(filters=filters, evaluation=Evaluation(starts=1))
+    replay = replay_dive(replace(dive, solutions={"mine": solution}), config)
+    assert "beside" in {row.filter for row in replay.tables.coasting}
+
+
 class Failing(Copy):
     """A class that cannot do without pings."""
 

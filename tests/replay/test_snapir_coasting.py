@@ -9,7 +9,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.outage_test import window_ends
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import coasting_of, coasting_plan, prepared_timeline, run_filters
+from insdvl_replay.preparation.run import outage_plan, prepared_timeline, run_filters, run_outages
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
 RUNS = ("01", "02", "05", "07", "08", "09", "11", "12")
@@ -24,9 +24,9 @@ def drifts_m(snapir: Path, preset: str, *overrides: str) -> dict[str, Floats]:
     for run in RUNS:
         dive = with_reference_at_imu(read_checked_dive(snapir / f"snapir_{run}.mcap", config), config)
         start = prepare_dive(dive, config)
-        timeline, plan = prepared_timeline(dive, start), coasting_plan(start)
+        timeline, plan = prepared_timeline(dive, start), outage_plan(start)
         histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-        coasts = coasting_of(dive, config, start, timeline, histories, plan)
+        coasts = run_outages(dive, config, start, timeline, histories, plan)
         for name in coasts.runs:
             drifts.setdefault(name, []).append(window_ends(coasts, name, plan.shown).drift_m)
     return {name: np.concatenate(of_dives) for name, of_dives in drifts.items()}

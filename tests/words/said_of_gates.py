@@ -10,12 +10,16 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
+from insdvl_replay.changes.gates import (
+    Finding,
+    Gate,
+    gate_findings,
+    load_gates,
+    require_known_names,
+    trajectory_findings,
+)
 from insdvl_replay.core.states import COLUMNS
 from insdvl_replay.core.stored_report import StoredReport
-from insdvl_replay.gates.gate_file import load_gates, require_known_names
-from insdvl_replay.gates.judged_cells import gate_findings
-from insdvl_replay.gates.model import Finding, Gate
-from insdvl_replay.gates.trajectory_gate import trajectory_findings
 from insdvl_replay.results.trajectory import Trajectory
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'

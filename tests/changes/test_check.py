@@ -19,9 +19,9 @@ import pytest
 import xmlschema
 from small_results import content, write
 
+from insdvl_replay.changes.formats import MOST_ANNOTATIONS, CheckReport, github_annotations, junit_xml
+from insdvl_replay.changes.gates import CheckResult, Judgement
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.gates.model import CheckResult, Judgement
-from insdvl_replay.gates.output import MOST_ANNOTATIONS, CheckReport, github_annotations, junit_xml
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"
 SCHEMA = xmlschema.XMLSchema(Path(__file__).with_name("junit.xsd"))

@@ -10,11 +10,9 @@ import msgspec
 import pytest
 from small_results import content, nudged
 
+from insdvl_replay.changes.gates import Gate, gate_findings, load_gates, require_known_names
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.stored_report import StoredReport
-from insdvl_replay.gates.gate_file import load_gates, require_known_names
-from insdvl_replay.gates.judged_cells import gate_findings
-from insdvl_replay.gates.model import Gate
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'
 

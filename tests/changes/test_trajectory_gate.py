@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from processors import PROCESSORS
 
+from insdvl_replay.changes.gates import Gate, load_gates, trajectory_findings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import COLUMNS, GROUPS
-from insdvl_replay.gates.gate_file import load_gates
-from insdvl_replay.gates.model import Gate
-from insdvl_replay.gates.trajectory_gate import trajectory_findings
 from insdvl_replay.results.trajectory import Trajectory, read_trajectory, write_trajectory
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"

@@ -1,0 +1,764 @@
+"""Gates: what must hold of a dive's tables and of its trajectory, read from TOML, and what became of each on each dive.
+
+What is missing, empty or not a number never passes. Some gates hold a value, or the whole trajectory, against a stored
+baseline; the last part of this module makes baselines.
+"""
+
+import difflib
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeGuard
+
+import msgspec
+from msgspec import Meta, Struct
+from msgspec.structs import asdict, replace
+
+from insdvl_replay.changes.cells import (
+    agree,
+    direction_of,
+    rounding,
+    rounding_pct,
+    rows_of,
+    size,
+    size_change_pct,
+    within,
+)
+from insdvl_replay.core.config_file import converted, read_toml
+from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
+from insdvl_replay.core.errors import (
+    ConfigError,
+    ResultError,
+    UserError,
+    error_context,
+    is_writable,
+    listed,
+    looked_for,
+    require_known,
+)
+from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
+from insdvl_replay.core.stored_report import Cell, Row, StoredLog, StoredReport
+from insdvl_replay.core.table import PERCENTAGE, TableLayout, layout_of
+from insdvl_replay.core.tables import CANDIDATES, TABLES, EvidenceRow, PooledRow
+from insdvl_replay.core.words import GateLevel, GateStatus, ReferenceStatus
+from insdvl_replay.core.words import Judgement as Word
+from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
+from insdvl_replay.results.json_report import Report, as_json
+from insdvl_replay.results.stored_results import read_results
+
+if TYPE_CHECKING:
+    # Trajectories need numpy, and a check of tables alone must not wait for it.
+    from insdvl_replay.results.trajectory import Trajectory
+
+ANY: Final = "*"  # every table, filter or row
+LOG: Final = "{log}"  # in the path of a baseline, the dive's name
+POOLED: Final = "pooled"  # the table of what all dives say together, as in ``evidence.csv`` beside them
+TRAJECTORY: Final = "trajectory"  # is compared sample by sample
+EVERY_DIVE: Final = "*"  # in place of the name of a dive
+SAME: Final = 1e-9  # share of the largest value of a group in which samples may differ: processors round differently
+EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
+ON_TRAJECTORY: Final = 'baseline = "baselines/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
+LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
+# Cells beside those that can be better or worse, and those of filters by themselves, that are of gain or loss.
+OF_GAIN: Final = frozenset(
+    (
+        ("filters", "belief"),
+        ("evidence", "word"),
+        *(("coasting", column) for column in ("ratio_to_baseline", "ratio_low", "ratio_high", "windows_won_pct")),
+    )
+)
+Allowance = Annotated[float, Meta(ge=0)]
+Share = Annotated[float, Meta(ge=0, le=100)]
+
+
+class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One condition on one column of a table, or on the trajectory."""
+
+    name: str  # for people; no two gates share it
+    table: str  # as in ``report.json``, or ``filters``
+    filter: str = ANY
+    row: str = ANY  # a state, quantity or measurement
+    column: str = ""
+    min: float | None = None  # may be reached, as may the maximum
+    max: float | None = None
+    equals: str | int | float | tuple[str | int | float, ...] | None = None  # the value, or those that it may have
+    baseline: str | None = None  # a stored result, seen from the gate file; ``{log}`` stands for the dive's name
+    # By how much a value may be worse than the baseline's: in percent of it, or in percentage points where the value is
+    # a percentage itself; and in the unit of the value. Of two allowances the larger one counts.
+    max_worse_pct: Allowance | None = None
+    max_worse_abs: Allowance | None = None
+    # By how much samples of a trajectory may differ: by column in its unit; as a share of the largest of its group.
+    max_abs: dict[str, Allowance] = {}
+    max_rel: Allowance | None = None
+    # The band in which a quantity of the trajectory, the row, is to stay: for which share of the samples, for how long
+    # it may be outside, at which time alone; else all samples.
+    within: tuple[float, float] | None = None
+    share_pct: Share | None = None
+    longest_outside_s: Allowance | None = None
+    at_s: Allowance | None = None
+    dives: tuple[str, ...] = ()  # patterns of the names of the dives that are meant; empty for all
+    share_of_dives_pct: Share | None = None  # the gate holds if so many of the dives that are meant pass it
+    level: GateLevel = GateLevel.ERROR
+
+
+class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A file of gates; its paths are seen from its folder."""
+
+    dives: tuple[str, ...] = ()  # logs, bags, folders, patterns, lists or results
+    config: str | None = None  # settings of the replays
+    preset: str | None = None
+    allow_damaged: bool = False  # use what can be read of damaged logs
+    gate: tuple[Gate, ...] = ()
+
+
+class Finding(Struct, frozen=True):
+    """What one cell of a table has to do with a gate."""
+
+    table: str
+    filter: str
+    row: str
+    column: str
+    was: Cell  # the baseline's value, if the gate has one
+    value: Cell  # None for what is missing
+    sentence: str  # what is, and what is wanted
+    passed: bool
+    unit: str = ""  # of the two values
+    allowed: str = ""  # by how much it may be worse than the baseline's
+
+
+class Judgement(Struct, frozen=True):
+    """What became of one gate on one dive."""
+
+    dive: str
+    gate: str
+    status: GateStatus
+    reasons: tuple[str, ...] = ()  # why it is not passed, one sentence each
+    findings: tuple[Finding, ...] = ()
+    line: int = 0  # where the gate is in its file; 0 if that is not known
+    is_trajectory: bool = False  # the gate holds the trajectory against its baseline
+
+
+class CheckResult(Struct, frozen=True):
+    """What became of all gates on all dives."""
+
+    gates: str  # the gate file
+    judgements: tuple[Judgement, ...]  # failures first, then in the order of dives and gates
+    words: dict[str, dict[str, int]] = {}  # by filter, on how many dives each word is said of it
+
+    def count(self, status: GateStatus) -> int:
+        """Count the judgements of a status."""
+        return sum(judgement.status == status for judgement in self.judgements)
+
+
+class Checked(NamedTuple):
+    """A dive's name, its result or why there is none, and the folder of the result."""
+
+    name: str
+    result: StoredReport | Exception
+    folder: Path | None = None
+
+
+# --- The gate file.
+
+
+@dataclass(frozen=True)
+class Gates:
+    """A gate file that was read."""
+
+    path: Path
+    content: GateFile
+    lines: tuple[int, ...]  # where each gate begins; 0 if that is not known
+
+    def where(self, gate: Gate) -> str:
+        """Name a gate and its place, for messages."""
+        line = self.lines[self.content.gate.index(gate)]
+        return f"{self.path}{f':{line}' if line else ''}: gate '{gate.name}'"
+
+
+def load_gates(path: Path) -> Gates:
+    """Read a gate file; ConfigError where a key, a value or a combination of them is wrong, or no gate is active."""
+    if not is_writable(str(path)):
+        raise ConfigError(f"{path}: its name is not UTF-8, so no result could tell it", "rename it")
+    source = read_toml(
+        path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
+    )
+    tables = source.content.get("gate")
+    for number, table in enumerate(tables if isinstance(tables, list) else [], 1):
+        gate = converted(table, Gate, source, label=f"gate {number}")
+        with error_context(f"{path}: gate {number}"):
+            _check_gate(gate)
+    content = converted(source.content, GateFile, source)
+    names = [gate.name for gate in content.gate]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"two gates bear the name '{name}'", "give each a name of its own", source.name)
+    if all(gate.level == GateLevel.OFF for gate in content.gate):
+        raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error", source.name)
+    lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
+    return Gates(path, content, tuple(lines if len(lines) == len(content.gate) else [0] * len(content.gate)))
+
+
+def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
+    """Keep the gates whose names are like one of the patterns ``only``, and like none of ``skip``."""
+    names = [gate.name for gate in gates.content.gate]
+    for pattern in (*only, *skip):
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise ConfigError(f"{gates.path}: no gate is called '{pattern}'", f"gates: {listed(names)}")
+    kept = [
+        (gate, line)
+        for gate, line in zip(gates.content.gate, gates.lines, strict=True)
+        if (not only or any(fnmatchcase(gate.name, pattern) for pattern in only))
+        and not any(fnmatchcase(gate.name, pattern) for pattern in skip)
+    ]
+    if not kept:
+        raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
+    chosen, lines = zip(*kept, strict=True)
+    return Gates(gates.path, replace(gates.content, gate=chosen), lines)
+
+
+def _check_gate(gate: Gate) -> None:
+    """Refuse keys that do not go together: the first rule that is broken."""
+    name, low, high, band = f"'{gate.name}'", gate.min, gate.max, gate.within
+    limits = {key: getattr(gate, key) for key in ("min", "max", "max_worse_pct", "max_worse_abs")}
+    endless = [f"{key} = {limit}" for key, limit in limits.items() if limit is not None and not math.isfinite(limit)]
+    no_limits, no_baseline = low is None and high is None and gate.equals is None, gate.baseline is None
+    no_allowance = gate.max_worse_pct is None and gate.max_worse_abs is None
+    of_samples = ("within", "share_pct", "longest_outside_s", "at_s", "max_abs", "max_rel")
+    foreign = [key for key in of_samples if getattr(gate, key)]
+    unknown = re.findall(r"\{.*?\}", (gate.baseline or "").replace(LOG, ""))
+    pooled_only = gate.table == POOLED and (not no_baseline or gate.share_of_dives_pct is not None or gate.dives)
+    is_crossed, on_trajectory = low is not None and high is not None and low > high, gate.table == TRAJECTORY
+    example = f"{endless[0].split()[0]} = 40.0" if endless else ""
+    rules: list[tuple[object, str, str]] = [
+        (endless, f"{' '.join(endless[:1])} is no limit", example),
+        (is_crossed, f"no value is at least {low or 0:g} and at most {high or 0:g}", "exchange min and max"),
+    ]
+    if on_trajectory:
+        with_column, beside = gate.column or not no_limits, band and (not no_baseline or gate.max_abs)
+        rules += [
+            (with_column, f"{name}: a trajectory has samples and no columns", ON_TRAJECTORY),
+            (beside, f"{name}: within stands beside a baseline", "make two gates of it"),
+            (not band and no_baseline, f"{name} has no condition", ON_TRAJECTORY),
+        ]
+    else:
+        on_samples = f'{name}: {" ".join(foreign[:1])} is for table = "{TRAJECTORY}"'
+        together = f"{name}: baseline and max_worse_pct or max_worse_abs need each other"
+        hint = 'baseline = "baselines/{log}.json" with max_worse_pct = 5'
+        rules += [
+            (not gate.column, f"{name} names no column", EXAMPLE),
+            (foreign, on_samples, "min, max, or max_worse_abs"),
+            (pooled_only, f"{name}: the pooled evidence is of all dives, without a baseline", "min, max or equals"),
+            (unknown, f"baseline: {' '.join(unknown[:1])} is not known", f"{LOG} stands for the dive's name"),
+            (no_limits and no_baseline, f"{name} has no condition", "add min, max, equals or baseline"),
+            (no_baseline != no_allowance, together, hint),
+        ]
+    for is_broken, text, hint in rules:
+        if is_broken:
+            raise ConfigError(text, hint)
+    if on_trajectory:
+        require_known("row", gate.row, COLUMNS if band else [ANY, *GROUPS, *COLUMNS])
+        if band and not band[0] <= band[1]:
+            raise ConfigError(f"{name}: within = {list(band)} holds no value", "exchange its ends")
+        for column in gate.max_abs:
+            require_known("max_abs", column, COLUMNS)
+
+
+def require_known_names(
+    gates: Gates,
+    filters: Sequence[str] | None,  # that will be replayed, the baseline first; None: stored results may have others
+) -> None:
+    """Raise a ConfigError, with line and nearest name, if a gate names what no result can have."""
+    for gate in gates.content.gate:
+        with error_context(gates.where(gate)):
+            if gate.table == TRAJECTORY:
+                require_known("filter", gate.filter, [ANY, *(filters or (gate.filter,))])
+                continue
+            require_known("table", gate.table, [ANY, TRAJECTORY, *(layout.name for layout in LAYOUTS)])
+            named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
+            columns = {layout.name: set(layout.columns) - {"log", "filter", layout.key} for layout in named}
+            known = [name for layout in named for name in layout.columns if name in columns[layout.name]]
+            require_known("column", gate.column, list(dict.fromkeys(known)))
+            layouts = [layout for layout in named if gate.column in columns[layout.name]]
+            # Of candidates nobody knows the names yet where results are stored.
+            if filters is not None or CANDIDATES not in layouts:
+                rows = [row for layout in layouts for row in layout.rows or (filters or ())[1:]]
+                kind = " or ".join(dict.fromkeys(layout.key for layout in layouts))
+                require_known(kind, gate.row, [ANY, *dict.fromkeys(rows)])
+            if filters is not None:
+                require_known("filter", gate.filter, [ANY, *filters])
+                if gate.filter == filters[0] and not any(layout.baseline_too for layout in layouts):
+                    raise ConfigError(
+                        f"filter '{filters[0]}' is the baseline, which has no rows of its own in {gate.table}",
+                        f"name a candidate: {', '.join(filters[1:])}; its rows have columns of the baseline, too",
+                    )
+            for layout in layouts:
+                _require_fitting_condition(gate, layout)
+
+
+def _require_fitting_condition(gate: Gate, layout: TableLayout) -> None:
+    """Refuse a condition that the column's kind can never meet."""
+    words, column = layout.kinds[gate.column] == "text", f"column '{gate.column}' of {layout.name}"
+    if words and not (gate.min is None and gate.max is None):
+        raise ConfigError(f"{column} holds words, which have no limits", "use equals")
+    wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
+    if gate.equals is not None and not any(isinstance(value, str) == words for value in wanted):
+        raise ConfigError(f"equals: {column} holds {'words' if words else 'numbers'}, found {gate.equals!r}")
+    if gate.baseline is not None and gate.column not in layout.better:
+        raise ConfigError(
+            f"{column} is neither better nor worse, so no baseline can be kept to",
+            f"one of {', '.join(layout.better)}, or equals, min or max",
+        )
+
+
+# --- Dives.
+
+
+def checked_replay(folder: Path, result: Report | Exception) -> Checked:
+    """Take what a replay gave, into a folder of the dive's name, as a dive to be judged."""
+    if isinstance(result, Exception):
+        return Checked(folder.name, result, folder)
+    return Checked(folder.name, msgspec.json.decode(msgspec.json.encode(result), type=StoredReport), folder)
+
+
+def checked_results(folder: Path) -> Iterator[Checked]:
+    """Take stored results as dives to be judged; the name of the log becomes that of the baseline's file."""
+    try:
+        for result in read_results(folder)[0]:
+            if is_dive_name(result.name):
+                yield Checked(result.name, result.report, result.folder)
+                continue
+            error = ResultError(
+                f"{result.folder / COMPLETE}: log.name = {result.name[:LONGEST_NAME]!r} is no name of a dive",
+                "replay its log again, which names it after its file",
+            )
+            yield Checked(result.folder.name, error)
+    except UserError as error:
+        yield Checked(folder.name, error)
+
+
+def evaluate_gates(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
+    """Hold every dive against every gate that means it, and all together against those on the pooled evidence."""
+    dives, placed = list(dives), list(zip(gates.content.gate, gates.lines, strict=True))
+    judgements = [
+        _evaluated(gates, gate, line, dive)
+        for dive in dives
+        for gate, line in placed
+        if gate.table != POOLED and is_meant(gate, dive.name)
+    ]
+    for gate, line in placed:
+        if gate.table == POOLED:
+            judgements.append(_evaluated(gates, gate, line, pooled_dive(dives)))
+        share_pct, own = gate.share_of_dives_pct, [item for item in judgements if item.gate == gate.name]
+        passed = sum(item.status == GateStatus.PASSED for item in own)
+        # Failures on single dives are warnings where enough of the others passed.
+        if share_pct is not None and own and 100.0 * passed >= share_pct * len(own):
+            reason = f"passed by {passed} of {len(own)} dives, {share_pct:g} % are wanted"
+            judgements = [
+                replace(item, status=GateStatus.WARNING, reasons=(*item.reasons, reason))
+                if item.gate == gate.name and item.status == GateStatus.FAILED
+                else item
+                for item in judgements
+            ]
+    judgements.sort(key=lambda item: list(GateStatus).index(item.status))
+    words: dict[str, dict[str, int]] = {}
+    for dive in dives:
+        for name, candidate in (dive.result.filters if isinstance(dive.result, StoredReport) else {}).items():
+            counts, word = words.setdefault(name, {}), str(candidate.get("improvement", ""))
+            counts[word] = counts.get(word, 0) + 1
+    return CheckResult(str(gates.path), tuple(judgements), words)
+
+
+def is_meant(gate: Gate, dive: str) -> bool:
+    """Return whether a gate means a dive, by its name."""
+    return not gate.dives or any(fnmatchcase(dive, pattern) for pattern in gate.dives)
+
+
+def pooled_dive(dives: Sequence[Checked]) -> Checked:
+    """Make a result of what all dives say together, as if it were one dive's."""
+    from insdvl_replay.evaluation.over_dives import pooled_evidence
+
+    reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
+    if not reports:
+        return Checked(EVERY_DIVE, ResultError("no dive has a result", "see the dives above"))
+    rows = list[Row]()
+    for name in dict.fromkeys(name for report in reports for name in report.filters):
+        evidence = [
+            [row for row in report.tables.get("evidence", []) if row.get("filter") == name]
+            for report in reports
+            if name in report.filters and report.filters[name].get("improvement") != Word.NOT_JUDGED
+        ]
+        rows += [asdict(row) for row in pooled_evidence(name, msgspec.convert(evidence, list[list[EvidenceRow]]))]
+    return Checked(EVERY_DIVE, StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline))
+
+
+def _evaluated(gates: Gates, gate: Gate, line: int, dive: Checked) -> Judgement:
+    held = gate.table == TRAJECTORY and gate.baseline is not None
+    missed = GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
+    if gate.level == GateLevel.OFF:
+        return Judgement(dive.name, gate.name, GateStatus.OFF, line=line)
+    if isinstance(dive.result, Exception):
+        reasons: tuple[str, ...] = (str(dive.result),)
+        return Judgement(dive.name, gate.name, GateStatus.UNUSABLE, reasons, line=line, is_trajectory=held)
+    try:
+        baseline = None if gate.baseline is None else _baseline(gates, gate, dive.result.log)
+        findings = _findings(gate, dive, dive.result, baseline)
+    except UserError as error:
+        reasons = (f"{error.message}; {error.hint}",)
+        return Judgement(dive.name, gate.name, missed, reasons, line=line, is_trajectory=held)
+    reasons = tuple(finding.sentence for finding in findings if not finding.passed)
+    return Judgement(dive.name, gate.name, missed if reasons else GateStatus.PASSED, reasons, findings, line, held)
+
+
+def _findings(gate: Gate, dive: Checked, result: StoredReport, baseline: Any) -> tuple[Finding, ...]:
+    if gate.table == TRAJECTORY:
+        return trajectory_findings(gate, _trajectory(dive), baseline)
+    return gate_findings(gate, result, baseline)
+
+
+def _trajectory(dive: Checked) -> "Trajectory | None":
+    from insdvl_replay.results.trajectory import read_trajectory
+
+    return None if dive.folder is None else read_trajectory(dive.folder / TRAJECTORY_FILE)
+
+
+# --- Gates on cells.
+
+
+def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
+    """Return a finding for each cell that a gate means, passed or not and why; one not passed if it means none."""
+    findings = list[Finding]()
+    for layout in (layout for layout in LAYOUTS if gate.table in (ANY, layout.name)):
+        rows = rows_of(report, layout)
+        before = {_name(row, layout): row for row in rows_of(baseline, layout)} if baseline else {}
+        for row in (row for row in rows if _means(gate, layout, row)):
+            filter_, key = _name(row, layout)
+            was, value = before.get((filter_, key)), row.get(gate.column)
+            complaint = _complaint(gate, layout, row, was, report)
+            unit, old = _unit(layout, row, gate.column), was.get(gate.column) if was else None
+            sentence = f"{_cell(gate, layout, row)} {complaint or _statement(layout, row, gate.column, was)}"
+            cell, end = (layout.name, filter_, key, gate.column, old, value), (unit.strip(), _allowed(gate))
+            findings.append(Finding(*cell, sentence, not complaint, *end))
+        # A star in the gate means the rows that only the baseline has, too.
+        left = {_name(row, layout) for row in rows}
+        for (filter_, key), was in before.items():
+            if (filter_, key) not in left and _means(gate, layout, was):
+                old = was.get(gate.column)
+                sentence = f"{_cell(gate, layout, was)} is gone with its row, the baseline has {value_text(old)}"
+                findings.append(Finding(layout.name, filter_, key, gate.column, old, None, sentence, passed=False))
+    if findings:
+        return tuple(findings)
+    # Name what the gate may have meant.
+    meant = [(layout, row) for layout in LAYOUTS if gate.table in (ANY, layout.name) for row in rows_of(report, layout)]
+    known = {
+        gate.row: {str(row[layout.key]) for layout, row in meant},
+        gate.filter: {str(row["filter"]) for _, row in meant},
+    }
+    name, names = next(((name, names) for name, names in known.items() if name not in (ANY, *names)), ("", set[str]()))
+    nearest = difflib.get_close_matches(name, sorted(names), n=1, cutoff=0.5)
+    sentence = (
+        f"no row of {report.log.name} is meant by table {gate.table}, filter {gate.filter}, row {gate.row}, "
+        f"column {gate.column}{''.join(f'; did you mean {near}?' for near in nearest)}"
+    )
+    return (Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),)
+
+
+def _name(row: Row, layout: TableLayout) -> tuple[str, str]:
+    return str(row["filter"]), str(row[layout.key])
+
+
+def _means(gate: Gate, layout: TableLayout, row: Row) -> bool:
+    is_named = gate.filter in (ANY, row["filter"]) and gate.row in (ANY, row[layout.key])
+    return is_named and (gate.table != ANY or gate.column in row)
+
+
+def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, report: StoredReport) -> str:
+    """State why a cell does not pass; empty if it does."""
+    value, column, unit = row.get(gate.column), gate.column, _unit(layout, row, gate.column)
+    # A cell of gain or loss fails where the filter is not judged; the verdict itself can pass.
+    is_beside = not layout.baseline_too or layout.name == "drift"
+    of_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
+    if of_gain and report.filters.get(str(row["filter"]), {}).get("improvement") == Word.NOT_JUDGED:
+        return f"is {value_text(value)}, and the filter is {Word.NOT_JUDGED}"
+    if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
+        return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
+    if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):
+        word = row.get("status") or row.get("verdict")
+        return f"is empty{f' ({word})' if word else ''}"
+    complaints = list[str]()
+    if gate.equals is not None:
+        wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
+        is_close = any(
+            isinstance(value, float) and isinstance(one_of, float | int) and agree(value, one_of, column)
+            for one_of in wanted
+        )
+        if (value not in wanted or isinstance(value, bool)) and not is_close:
+            complaints.append(f"is {value_text(value)}, {' or '.join(map(value_text, wanted))} is wanted")
+    if not (gate.min is None and gate.max is None) and not _is_number(value):
+        complaints.append(f"is the word {value!r}, a number is wanted")
+    elif _is_number(value):
+        if gate.min is not None and not (value >= gate.min or agree(value, gate.min, column)):
+            complaints.append(f"is {value_text(value)}{unit}, at least {value_text(gate.min)} is wanted")
+        if gate.max is not None and not (value <= gate.max or agree(value, gate.max, column)):
+            complaints.append(f"is {value_text(value)}{unit}, at most {value_text(gate.max)} is wanted")
+    if gate.baseline is not None:
+        complaints += _worse_than_baseline(gate, layout, row, was or {})
+    return "; ".join(complaints)
+
+
+def _worse_than_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row) -> Iterator[str]:
+    """Compare with the stored value; of two allowances the larger one counts."""
+    old, new, column = was.get(gate.column), row[gate.column], gate.column
+    better, dof = direction_of(layout, column, row)
+    dofs = direction_of(layout, column, was)[1], dof
+    if not _is_number(old) or not _is_number(new):
+        yield "has no number in the baseline to compare with"
+        return
+    if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
+        yield "has no dof beside it, or none in the baseline, to compare by"
+        return
+    if better is None:
+        return
+    before, after = (size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
+    sign = -1.0 if better == "higher" else 1.0
+    change_pct = size_change_pct(before, after, column)
+    worse_pct = math.inf * sign * (after - before) if change_pct is None else sign * change_pct
+    in_percent = worse_pct, gate.max_worse_pct, rounding_pct(before, after, column)
+    in_unit = sign * (after - before), gate.max_worse_abs, rounding(before, after, column)
+    if any(allowed is not None and within(worse, allowed, digits) for worse, allowed, digits in (in_percent, in_unit)):
+        return
+    amount = f"by {worse_pct:.3g} {_percent(column)}" if math.isfinite(worse_pct) else "beyond any percentage"
+    yield f"{_statement(layout, row, column, was)}: worse {amount}, {_allowed(gate)} is allowed"
+
+
+def _is_number(value: Cell) -> TypeGuard[float | int]:
+    """Distinguish a number from a word, and from ``true`` and ``false``, which Python counts among them."""
+    return isinstance(value, float | int) and not isinstance(value, bool)
+
+
+def _allowed(gate: Gate) -> str:
+    percent = "" if gate.max_worse_pct is None else f"{gate.max_worse_pct:g} {_percent(gate.column)}"
+    absolute = "" if gate.max_worse_abs is None else f"{gate.max_worse_abs:g}"
+    return " or ".join(filter(None, (percent, absolute)))
+
+
+def _percent(column: str) -> str:
+    return "percentage points" if column.endswith(PERCENTAGE) else "%"
+
+
+def _cell(gate: Gate, layout: TableLayout, row: Row) -> str:
+    return f"{layout.name} {' '.join(dict.fromkeys(_name(row, layout)))}: {gate.column}"
+
+
+def _statement(layout: TableLayout, row: Row, column: str, was: Row | None) -> str:
+    now, old = f"{value_text(row[column])}{_unit(layout, row, column)}", was.get(column) if was else None
+    return f"is {now}" if old is None else f"went from {value_text(old)} to {now}"
+
+
+def _unit(layout: TableLayout, row: Row, column: str) -> str:
+    unit = layout.unit_of(column, str(row.get("unit", "")))
+    return f" {unit}" if unit else ""
+
+
+def value_text(value: Cell) -> str:
+    """Write a value with enough digits to differ from its limit, words as they are."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+# --- Gates on the trajectory: that nothing changed, sample by sample, and conditions over time.
+
+
+def trajectory_findings(
+    gate: Gate,
+    new: "Trajectory | None",  # of the result; None if it has none
+    old: "Trajectory | None",  # the baseline's, for a gate that holds against it
+) -> tuple[Finding, ...]:
+    """Return a finding for each filter that a gate means; one not passed if it means none."""
+
+    def finding(name: str, row: str, sentence: str, *, passed: bool = False) -> Finding:
+        return Finding(TRAJECTORY, name, row or gate.row, "", None, None, sentence, passed)
+
+    if new is None:
+        return (finding(gate.filter, "", "the result has no trajectory: replay the log again"),)
+    names = [name for name in new.names if gate.filter in (ANY, name)]
+    if not names:
+        return (finding(gate.filter, "", f"no filter {gate.filter} in the result"),)
+    if gate.within is not None:
+        found = [(name, *_over_time(gate, gate.within, new, name)) for name in names]
+        return tuple(finding(name, gate.row, sentence, passed=passed) for name, sentence, passed in found)
+    assert old is not None
+    compared = [(name, *_against(gate, new, old, name)) for name in names]
+    gone = [name for name in old.names if name not in new.names and gate.filter in (ANY, name)]
+    return (
+        *(finding(name, row, f"{name}: {sentence}", passed=passed) for name, row, sentence, passed in compared),
+        *(finding(name, "", f"{name}: is gone, the baseline has it") for name in gone),
+    )
+
+
+def _against(gate: Gate, new: "Trajectory", old: "Trajectory", name: str) -> tuple[str, str, bool]:
+    """Find the first sample and quantity in which a filter differs from the baseline: row, sentence, passed or not."""
+    import numpy as np
+
+    samples = len(new.time_s)
+    if name not in old.names:
+        return "", "is not in the baseline", False
+    if not np.array_equal(new.time_s, old.time_s):
+        return "", f"{samples} samples, the baseline has {len(old.time_s)} at other times", False
+    # By time, then in the order of the columns: the row, the column, where it differs, by how much, what is allowed.
+    differences = list[tuple[int, str, Any, Any, float]]()
+    for group, columns in GROUPS.items():
+        with np.errstate(invalid="ignore"):
+            largest = max(float(np.nanmax(np.abs(old.of(name, column)), initial=0.0)) for column in columns)
+            for column in (column for column in columns if gate.row in (ANY, group, column)):
+                allowed = gate.max_abs.get(column, (SAME if gate.max_rel is None else gate.max_rel) * largest)
+                before, after = old.of(name, column), new.of(name, column)
+                apart = np.abs(np.where(before == after, 0.0, after - before))
+                if column in ANGLES:
+                    apart = np.minimum(apart, np.abs(360.0 - apart))
+                # What is missing on both sides is the same; on one side it differs by any measure.
+                apart = np.nan_to_num(apart, nan=0.0, posinf=np.inf)
+                apart = np.where(np.isnan(before) != np.isnan(after), np.inf, apart)
+                if (differs := apart > allowed).any():
+                    differences.append((int(np.argmax(differs)), column, differs, apart, allowed))
+    if not differences:
+        return "", f"{samples} samples are as before", True
+    first, column, differs, apart, allowed = min(differences, key=lambda difference: difference[0])
+    others = f", and {len(differences) - 1} more quantities" if len(differences) > 1 else ""
+    sentence = (
+        f"{column} first differs at {new.time_s[first]:g} s ({apart[first]:.2g}, {allowed:.2g} allowed), "
+        f"{int(differs.sum())} of {len(differs)} samples{others}"
+    )
+    return column, sentence, False
+
+
+def _over_time(gate: Gate, band: tuple[float, float], trajectory: "Trajectory", name: str) -> tuple[str, bool]:
+    """Hold a quantity in its band: for a share of the samples, never outside for long, or at one time."""
+    import numpy as np
+
+    from insdvl_replay.core.dive_columns import find_runs
+
+    (low, high), time_s, values = band, trajectory.time_s, trajectory.of(name, gate.row)
+    inside, complaints, statement = (values >= low) & (values <= high), list[str](), "it is"  # missing is outside
+    if gate.at_s is not None:
+        sample = int(np.argmin(np.abs(time_s - gate.at_s)))
+        if abs(time_s[sample] - gate.at_s) > 1.0:
+            complaints.append(f"the replay has no sample at {gate.at_s:g} s")
+        elif not inside[sample]:
+            complaints.append(f"it is {values[sample]:.6g} at {time_s[sample]:g} s")
+    else:
+        share_pct, longest_s = 100.0 * float(inside.mean()), gate.longest_outside_s
+        wanted_pct = 100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
+        if share_pct < wanted_pct:
+            complaints.append(f"{share_pct:.1f} % of {len(inside)} samples are, at least {wanted_pct:g} % are wanted")
+        # How long the longest stay outside lasts, a sample a second, and when it begins.
+        begins, ends = find_runs(~inside)
+        longest = int(np.argmax(ends - begins)) if len(begins) else 0
+        length_s, begin_s = (
+            (float(ends[longest] - begins[longest]), time_s[begins[longest]]) if len(begins) else (0.0, 0.0)
+        )
+        if longest_s is not None and length_s > longest_s:
+            complaints.append(f"outside for {length_s:g} s from {begin_s:g} s, {longest_s:g} s are allowed")
+        statement = f"{share_pct:.1f} % of {len(inside)} samples are, outside for {length_s:g} s at most"
+    sentence = f"{name}: {gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
+    return sentence, not complaints
+
+
+# --- Baselines.
+
+
+def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
+    """Return where the baseline of a dive is stored."""
+    return gates.path.parent / (gate.baseline or "").replace(LOG, dive)
+
+
+def _stored_baseline(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
+    """Read a baseline; None if there is none, or the file holds something else."""
+    if gate.table == TRAJECTORY:
+        from insdvl_replay.results.trajectory import read_trajectory
+
+        return read_trajectory(path)
+    try:
+        return read_results(path)[0][0].report
+    except UserError:
+        return None
+
+
+def _baseline(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Trajectory":
+    """Return the baseline of a log; ConfigError says which command makes it."""
+    path, command = baseline_path(gates, gate, log.name), f"`insdvl-replay check {gates.path} --update`"
+    with looked_for(path):
+        if not path.is_file():
+            raise ConfigError(f"{path}: there is no baseline yet", f"{command} makes it")
+    baseline = _stored_baseline(gate, path)
+    if baseline is None:
+        kind = "trajectory" if gate.table == TRAJECTORY else "result"
+        raise ConfigError(f"{path}: is not a {kind} that can be read", f"{command} makes it anew")
+    if (baseline.log.sha256 if isinstance(baseline, StoredReport) else baseline.sha256) != log.sha256:
+        raise ConfigError(f"{path}: the baseline is of another log than {log.name}", f"{command} makes it anew")
+    return baseline
+
+
+def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
+    """Compare the values of all gates with a baseline with those that it holds, if any: dive and cell."""
+    found = list[tuple[str, Finding]]()
+    for gate, dive, result in _with_baseline(gates, dives):
+        baseline = _stored_baseline(gate, baseline_path(gates, gate, dive.name))
+        if gate.table == TRAJECTORY and baseline is None:
+            from insdvl_replay.results.trajectory import Trajectory
+
+            new = _trajectory(dive)
+            assert new is not None
+            baseline = Trajectory(new.sha256, (), new.time_s, new.values[:0])  # one that has no filter yet
+        found += [(dive.name, finding) for finding in _findings(gate, dive, result, baseline)]
+    return found
+
+
+def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
+    """Make the gated values of today the baselines, and the trajectories; return the files."""
+    written: dict[Path, tuple[Checked, StoredReport, list[Gate]]] = {}
+    for gate, dive, result in _with_baseline(gates, dives):
+        path = baseline_path(gates, gate, dive.name)
+        owner, _, sharing = written.setdefault(path, (dive, result, []))
+        if owner is not dive:
+            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"write {LOG} for the dive's name")
+        if sharing and (sharing[0].table == TRAJECTORY) != (gate.table == TRAJECTORY):
+            raise ConfigError(f"{gates.where(gate)}: a trajectory and tables share {path}", "give it a file of its own")
+        sharing.append(gate)
+    for path, (dive, result, sharing) in written.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with result_file(path, force=True) as file:
+            if sharing[0].table == TRAJECTORY:
+                assert dive.folder is not None
+                file.write_bytes(read_file(dive.folder / TRAJECTORY_FILE))
+            else:
+                file.write_bytes(as_json(_gated_values(result, sharing)))
+    return list(written)
+
+
+def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gate, Checked, StoredReport]]:
+    for gate in gates.content.gate:
+        if gate.baseline is not None and gate.level != GateLevel.OFF:
+            for dive in dives:
+                if isinstance(dive.result, StoredReport) and is_meant(gate, dive.name):
+                    yield gate, dive, dive.result
+
+
+def _gated_values(report: StoredReport, gates: Sequence[Gate]) -> dict[str, Any]:
+    """Return what names the gated values and what a comparison needs, so that what moves can be read in a review."""
+    tables: dict[str, dict[tuple[str, str], Row]] = {}
+    for gate in gates:
+        for layout in (layout for layout in LAYOUTS if gate.table in (ANY, layout.name)):
+            needed = ("log", "filter", layout.key, "unit", "dof", "evidence", gate.column)
+            for row in (row for row in rows_of(report, layout) if _means(gate, layout, row)):
+                kept = tables.setdefault(layout.name, {}).setdefault(_name(row, layout), {})
+                kept.update({name: row[name] for name in needed if name in row})
+    candidates = tables.pop(CANDIDATES.name, {}).values()
+    return {
+        "tool": {name: report.tool[name] for name in ("name", "version") if name in report.tool},
+        "log": {"name": report.log.name, "sha256": report.log.sha256},
+        "tables": {name: list(rows.values()) for name, rows in tables.items()},
+        "baseline": report.baseline,
+        "filters": {str(row["filter"]): row for row in candidates},
+    }
