@@ -108,10 +108,8 @@ def replay_log(
     """
     from insdvl_replay.replay import replay_log as replayed
 
-    paths = [Path(log)] if isinstance(log, str | Path) else [Path(one) for one in log]
-    replay = replayed(
-        paths[0] if len(paths) == 1 else paths, config or Config(), allow_damaged=allow_damaged, name=name
-    )
+    path = Path(log) if isinstance(log, str | Path) else [Path(part) for part in log]
+    replay = replayed(path, config or Config(), allow_damaged=allow_damaged, name=name)
     report = build_report(
         replay.dive, replay.config, replay.tables, replay.verdicts, replay.notes, replay.start_ns, replay.end_ns,
         this_tool(),
@@ -140,13 +138,7 @@ class UnknownNameError(ConfigError, KeyError):
 
 
 class Named(dict[str, "pd.DataFrame"]):
-    """Data frames by name.
-
-    Raises
-    ------
-    UnknownNameError
-        What is asked for is not among them.
-    """
+    """Data frames by name; what is not among them is an UnknownNameError."""
 
     def __init__(self, kind: str, frames: "Mapping[str, pd.DataFrame]") -> None:
         super().__init__(frames)
@@ -158,18 +150,10 @@ class Named(dict[str, "pd.DataFrame"]):
 
 @dataclass(frozen=True)
 class Result:
-    """One dive, replayed or read back. In a notebook it shows the word on each filter and the evidence for it.
+    """One dive, replayed or read back. In a notebook it shows the word on each filter and the evidence for it."""
 
-    Attributes
-    ----------
-    report : Report
-        All of it as data.
-    folder : Path, optional
-        Where it lies, if it was read.
-    """
-
-    report: Report
-    folder: Path | None = None
+    report: Report  # all of it as data
+    folder: Path | None = None  # where it is, if it was read
     _replay: "Replay | None" = field(default=None, repr=False)
 
     @property
@@ -219,7 +203,7 @@ class Result:
 
     @property
     def histories(self) -> dict[str, "pd.DataFrame"]:
-        """The whole history of each filter, of a replay that was not read back; see `histories.history_frame`."""
+        """The whole history of each filter, of a replay that was not read back; see `result_files.history_frame`."""
         from insdvl_replay.results.result_files import history_frame
 
         if self._replay is None:
