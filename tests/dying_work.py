@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 from pathlib import Path
 
 
@@ -17,3 +18,8 @@ def die_always(name: str) -> str:
     if name == "deadly":
         os.kill(os.getpid(), signal.SIGKILL)
     return name
+
+
+def asleep(seconds: float) -> float:
+    time.sleep(seconds)
+    return seconds

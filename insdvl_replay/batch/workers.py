@@ -4,6 +4,7 @@ A worker that dies takes the items that it held with it. They are tried once mor
 kills its worker is known, and all others are done.
 """
 
+import ctypes
 import importlib
 import logging
 import multiprocessing
@@ -32,6 +33,7 @@ _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_
 _REACHED_WITHIN_S: Final = 10
 _WORKERS_WITHIN_S: Final = 60
 _ENDED_WITHIN_S: Final = 5
+_PR_SET_PDEATHSIG: Final = 1
 
 
 class WorkerLostError(LogError):
@@ -128,6 +130,11 @@ def _begin() -> None:
     prepare_process()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half written is removed on the way out
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a worker ends with a parent that is killed
+        parent = multiprocessing.parent_process()
+        if parent is None or not parent.is_alive():
+            os._exit(1)
 
 
 def _do(work: Callable[[Item], Result], item: Item) -> Result:

@@ -1,5 +1,6 @@
-"""Work on a cluster that is not there, and what a worker elsewhere answers for."""
+"""Work whose parent or cluster is gone, and what a worker elsewhere answers for."""
 
+import os
 import re
 import subprocess
 import sys
@@ -33,6 +34,33 @@ asyncio.run(serve())
 """
 
 
+PARENT = """
+from dying_work import asleep
+from insdvl_replay.batch.workers import do_each, local_pool
+
+if __name__ == "__main__":
+    for _, name in do_each(asleep, [0.0, 0.0, 600.0], local_pool(2)):
+        print("done", flush=True)
+"""
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells a process that its parent has ended")
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    tests = Path(__file__).resolve().parents[1]
+    environment = os.environ | {"PYTHONPATH": f"{tests}{os.pathsep}{tests.parent}"}
+    with subprocess.Popen([sys.executable, str(script)], env=environment, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout
+        assert [parent.stdout.readline() for _ in range(2)] == ["done\n"] * 2
+        workers = psutil.Process(parent.pid).children(recursive=True)
+        parent.kill()
+        parent.communicate(timeout=20)  # both ends are closed as soon as nobody holds them
+    _, alive = psutil.wait_procs(workers, timeout=5)
+    assert not alive
+
+
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("logs") / "dive.mcap"
@@ -61,18 +89,6 @@ def test_a_cluster_without_workers_is_told(
     assert run_command_line(["run", str(log), "-o", str(log.parent / "out"), "--scheduler", scheduler[0]]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert re.fullmatch(rf"error: --scheduler {scheduler[0]}: .*; hint: .*`dask worker`.*", line)
-
-
-@pytest.mark.nightly
-def test_a_scheduler_that_never_answers_is_told(log: Path, scheduler: tuple[str, psutil.Process]) -> None:
-    address, of_scheduler = scheduler
-    of_scheduler.suspend()
-    command = [*TOOL, "run", str(log), "-o", "out", "--scheduler", address]
-    process = subprocess.Popen(command, cwd=log.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    _, told = process.communicate(timeout=90)
-    assert process.returncode == 2, told
-    (line,) = told.splitlines()
-    assert re.fullmatch(rf"error: --scheduler {scheduler[0]}: .*; hint: .*`dask scheduler`.*", line)
 
 
 def test_a_worker_answers_only_for_the_bytes_that_are_meant(
