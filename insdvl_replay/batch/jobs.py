@@ -6,6 +6,7 @@ interrupted run goes on where it stopped. With measurements of the user's own ev
 """
 
 import hashlib
+import os
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -63,6 +64,7 @@ class ReplayJob:
     name: Path  # the one of them after which the dive is named
     target: Path  # its result folder, which bears the dive's name
     options: ReplayOptions
+    replaces: bool = False  # a result was there when the replay was asked for; what comes meanwhile stays
     sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
 
 
@@ -85,7 +87,8 @@ def plan_jobs(logs: Sequence[Path], output: Path, options: ReplayOptions, *, one
         givers = [name_giver(tuple(logs))]
     names = unique_names(givers)
     return [
-        ReplayJob(dive, giver, output / name, options) for dive, giver, name in zip(dives, givers, names, strict=True)
+        ReplayJob(dive, giver, output / name, options, replaces=os.path.lexists(output / name))
+        for dive, giver, name in zip(dives, givers, names, strict=True)
     ]
 
 
@@ -215,7 +218,7 @@ def replay_into(job: ReplayJob) -> bytes:
             f"was asked for it is {job.sha256 or 'not to be had'}",
             "--scheduler needs workers that see the same files under the same paths",
         )
-    with result_folder(job.target, force=True) as folder:
+    with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
         if options.trajectories:
             save_trajectories(replay, folder)

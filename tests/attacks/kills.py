@@ -105,11 +105,8 @@ def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: li
 
 def _again(folder: Path, name: str) -> str:
     """Run the same again after a kill that nobody can answer."""
-    left = bool(hidden(folder))
     code = started([*commands(folder)[name]], folder / "said").wait(PATIENCE_S)
-    if code:
-        return "the next run fails"
-    return "hidden folder left" if left and hidden(folder) else "ok"
+    return "the next run fails" if code else "ok"
 
 
 def _whole(path: Path) -> bool:

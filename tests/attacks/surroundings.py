@@ -96,8 +96,6 @@ def _names(folder: Path) -> Iterator[Outcome]:
     code, _, said = _ended(folder, "run", ".", "-o", "out")
     done = (folder / "out" / "dive" / "report.json").is_file()
     yield _judged("4 a name that is not UTF-8", code if done else -2, said, 3, "not UTF-8")
-    code, _, said = _ended(folder, "run", "/proc/**", "-o", "out")
-    yield _judged("4 /proc/**", code, said, 2, "no dive is found")
 
 
 def _full() -> None:

@@ -372,6 +372,14 @@ def test_a_worker_with_other_code_refuses(archive: Path, tmp_path: Path) -> None
         replay_into(other)
 
 
+def test_a_result_that_another_run_has_written_meanwhile_stays(archive: Path, tmp_path: Path) -> None:
+    job = task(archive / "dive_1.mcap", output=tmp_path)
+    job.target.mkdir()
+    (job.target / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
+    with pytest.raises(ConfigError, match="dive_1: exists"):
+        replay_into(job)
+
+
 def test_other_sources_are_another_digest(tmp_path: Path) -> None:
     package = Path(insdvl_replay.__file__).parent
     copy = tmp_path / "insdvl_replay"
