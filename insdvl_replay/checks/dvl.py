@@ -107,7 +107,7 @@ def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
     else:
         raise ValueError("a DVL gives beams with their vectors, or velocities")
     good = np.isfinite(velocity_d).all(axis=1)
-    mounting = DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    mounting = DvlMounting.from_rpy(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
     return dvl.time_ns[good], mounting.velocity_b(velocity_d[good])
 
 

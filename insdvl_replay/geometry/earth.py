@@ -1,7 +1,7 @@
 """The WGS-84 Earth: rotation, gravity, radii of curvature.
 
-Written with numpy functions that take numbers and arrays alike; `nav.earth_model` compiles the same text for the
-filter's loop. What ends in ``_of`` takes sines and cosines of the latitude, which the simulation computes its own way.
+All functions take numbers and arrays; `nav.earth_model` compiles the same text for the filter's loop. Functions with
+``_of`` take sines and cosines of the latitude, which the simulation computes in its own way.
 Source: NIMA TR8350.2, "Department of Defense World Geodetic System 1984", third edition, chapters 3 and 4.
 """
 
@@ -11,34 +11,17 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
 
-EARTH_RATE: Final = 7.292115e-5
-"""Rotation rate of the Earth, rad/s."""
-SEMI_MAJOR_M: Final = 6378137.0
-"""Semi-major axis of the ellipsoid, m."""
-ECCENTRICITY_2: Final = 6.69437999014e-3
-"""First eccentricity squared."""
-GRAVITY_EQUATOR: Final = 9.7803253359
-"""Normal gravity at the equator, m/s^2."""
+EARTH_RATE: Final = 7.292115e-5  # rotation rate of the Earth, rad/s
+SEMI_MAJOR_M: Final = 6378137.0  # of the ellipsoid
+ECCENTRICITY_2: Final = 6.69437999014e-3  # first eccentricity squared
+GRAVITY_EQUATOR: Final = 9.7803253359  # m/s^2
 SOMIGLIANA_K: Final = 1.931852652458e-3
-"""Somigliana's constant of normal gravity."""
 FLATTENING: Final = 1.0 / 298.257223563
-"""Flattening of the ellipsoid."""
-GRAVITY_RATIO: Final = 3.449786506841e-3
-"""Ratio of centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM."""
+GRAVITY_RATIO: Final = 3.449786506841e-3  # centrifugal acceleration to gravity at the equator, m = w^2 a^2 b / GM
 
 
 def earth_rate_n(latitude: float | Floats) -> Floats:
-    """Return the rotation rate of the Earth in north-east-down, w_ie.
-
-    Parameters
-    ----------
-    latitude : float or ndarray, shape (...)
-        rad
-
-    Returns
-    -------
-    ndarray, shape (..., 3), rad/s
-    """
+    """Return the rotation rate of the Earth in north-east-down, w_ie, rad/s, shape (..., 3); latitude in rad."""
     return np.stack(np.broadcast_arrays(*earth_rate_of(np.sin(latitude), np.cos(latitude))), axis=-1)
 
 
@@ -48,14 +31,9 @@ def earth_rate_of(sine: Any, cosine: Any) -> tuple[Any, float, Any]:
 
 
 def normal_gravity(latitude: Any, height_m: Any) -> Any:
-    """Return the magnitude of normal gravity, Somigliana's formula with the second-order height term.
+    """Return normal gravity, Somigliana's formula with the second-order height term, m/s^2.
 
-    Parameters
-    ----------
-    latitude : float or ndarray
-        rad
-    height_m : float or ndarray
-        Above the ellipsoid; negative for a dive.
+    The latitude is in rad; the height is above the ellipsoid, negative for a dive.
     """
     return gravity_of(np.sin(latitude) ** 2, height_m)
 
@@ -68,13 +46,7 @@ def gravity_of(sin2: Any, height_m: Any) -> Any:
 
 
 def meridian_radius_m(latitude: Any) -> Any:
-    """Return the radius of curvature north-south, R_N.
-
-    Parameters
-    ----------
-    latitude : float or ndarray
-        rad
-    """
+    """Return the radius of curvature north-south, R_N; latitude in rad."""
     return meridian_radius_of(np.sin(latitude) ** 2)
 
 
@@ -85,13 +57,7 @@ def meridian_radius_of(sin2: Any) -> Any:
 
 
 def transverse_radius_m(latitude: Any) -> Any:
-    """Return the radius of curvature east-west, R_E.
-
-    Parameters
-    ----------
-    latitude : float or ndarray
-        rad
-    """
+    """Return the radius of curvature east-west, R_E; latitude in rad."""
     return transverse_radius_of(np.sin(latitude) ** 2)
 
 

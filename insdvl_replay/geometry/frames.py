@@ -1,9 +1,4 @@
-"""Frames and the plane that touches the Earth: north-east-down, and east-north-up as ROS has it (REP 103).
-
-The beams of a DVL: where those of a Janus point, tilted from the z axis and evenly around it, and what they tell.
-
-From position to position: how far a track goes, what its velocity says of that, and which steps nothing explains.
-"""
+"""Frames, the plane that touches the Earth, the beams of a DVL, and the steps of a track."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,23 +12,15 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.rotation import mat_from_rpy, quat_from_mat, wrap_angle
 
-MAT_ENU_NED: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Takes coordinates east-north-up to north-east-down, and back."""
-MAT_FRD_FLU: Final = np.diag([1.0, -1.0, -1.0])
-"""Takes coordinates forward-port-up to forward-starboard-down, and back."""
+MAT_ENU_NED: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # and back
+MAT_FRD_FLU: Final = np.diag([1.0, -1.0, -1.0])  # and back
 
 
 def north_east_m(position: Floats, origin: Floats, touching: Floats) -> tuple[Floats, Floats]:
-    """Return the way from an origin to a position, north and east on the plane that touches the Earth somewhere.
+    """Return the offset of a position from an origin, north and east on the plane that touches the Earth somewhere.
 
-    Parameters
-    ----------
-    position, origin, touching : ndarray, shape (..., 3)
-        Latitude rad, longitude rad, height m. Where the height of ``touching`` is not finite the ellipsoid's counts.
-
-    Returns
-    -------
-    north_m, east_m : ndarray, shape (...,)
+    Positions are latitude rad, longitude rad, height m, shape (..., 3). Where the height of ``touching`` is not finite,
+    that of the ellipsoid counts.
     """
     latitude, longitude = position[..., 0] - origin[..., 0], wrap_angle(position[..., 1] - origin[..., 1])
     radius_north_m, radius_east_m, cosine = _radii_m(touching)
@@ -41,109 +28,52 @@ def north_east_m(position: Floats, origin: Floats, touching: Floats) -> tuple[Fl
 
 
 def north_east_down_m(position: Floats, origin: Floats) -> Floats:
-    """Return the way from an origin to a near position, on the plane that touches the Earth at the origin.
-
-    Parameters
-    ----------
-    position, origin : ndarray, shape (..., 3)
-        Latitude rad, longitude rad, height m.
-
-    Returns
-    -------
-    ndarray, shape (..., 3), m
-    """
+    """Return the offset of a near position, m, shape (..., 3), on the plane that touches the Earth at the origin."""
     return np.stack([*north_east_m(position, origin, origin), origin[..., 2] - position[..., 2]], axis=-1)
 
 
 def east_north_up_m(position: Floats, origin: Floats) -> Floats:
-    """Return the way from an origin along the ellipsoid, with the radii halfway, so that up is height.
-
-    Parameters
-    ----------
-    position : ndarray, shape (k, 3)
-        Latitude rad, longitude rad, height m.
-    origin : ndarray, shape (3,)
-        Likewise.
-
-    Returns
-    -------
-    ndarray, shape (k, 3), m
-    """
+    """Return the offset along the ellipsoid, m, shape (k, 3), with the radii halfway, so that up is height."""
     latitude, longitude, up_m = (position - origin).T
     radius_north_m, radius_east_m, cosine = _radii_m((position + origin) / 2.0)
     return np.stack([wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m], axis=-1)
 
 
 def moved_position(position: Floats, way_n: Floats) -> Floats:
-    """Move positions by short ways north, east, down: the inverse of `north_east_down_m`.
-
-    Parameters
-    ----------
-    position : ndarray, shape (..., 3)
-        Latitude rad, longitude rad, height m.
-    way_n : ndarray, shape (..., 3), m
-
-    Returns
-    -------
-    ndarray, shape (..., 3)
-        Latitude rad, longitude rad, height m.
-    """
+    """Move positions by short ways north, east, down, m: the inverse of `north_east_down_m`."""
     radius_north_m, radius_east_m, cosine = _radii_m(position)
     north, east = way_n[..., 0] / radius_north_m, way_n[..., 1] / (radius_east_m * cosine)
     return position + np.stack([north, east, -way_n[..., 2]], axis=-1)
 
 
 def _radii_m(position: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return R_N + h, R_E + h and the cosine of the latitude; a height that is not finite counts as 0."""
+    """Return R_N + h, R_E + h and the cosine of the latitude."""
     latitude, height_m = position[..., 0], position[..., 2]
     level_m = np.where(np.isfinite(height_m), height_m, 0.0)
     return meridian_radius_m(latitude) + level_m, transverse_radius_m(latitude) + level_m, np.cos(latitude)
 
 
 def quat_enu_flu(mat_nb: Floats) -> Floats:
-    """Turn attitudes into quaternions x, y, z, w, forward-port-up to east-north-up.
-
-    Parameters
-    ----------
-    mat_nb : ndarray, shape (k, 3, 3)
-
-    Returns
-    -------
-    ndarray, shape (k, 4)
-    """
+    """Return attitudes as quaternions x, y, z, w, forward-port-up to east-north-up, shape (k, 4)."""
     return quat_from_mat(MAT_ENU_NED @ mat_nb @ MAT_FRD_FLU)
 
 
-TILT_DEG: Final = 30.0
-"""From the z axis; most instruments have 20, 22.5, 25 or 30."""
-AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)
-"""From forward towards starboard."""
-
-_DOWN: Final = 0.5
-"""The beams of a DVL that looks down have together at least such a part along z, whatever tilt they have."""
+TILT_DEG: Final = 30.0  # from the z axis; most instruments have 20, 22.5, 25 or 30
+AZIMUTH_DEG: Final = (45.0, 135.0, 225.0, 315.0)  # from forward towards starboard
+_DOWN: Final = 0.5  # least part along z of the mean beam of a DVL that looks down, whatever its tilt
 
 
 @dataclass(frozen=True)
 class DvlMounting:
-    """How a DVL is built into a vehicle.
+    """The place and axes of a DVL in a vehicle."""
 
-    Attributes
-    ----------
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
-    mat_bd : ndarray, shape (3, 3)
-        Mounting rotation C_d^b.
-    scale : float
-        Measured over true velocity.
-    """
-
-    lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))
-    mat_bd: Floats = field(default_factory=lambda: np.eye(3))
-    scale: float = 1.0
+    lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # (3,), IMU to DVL, m
+    mat_bd: Floats = field(default_factory=lambda: np.eye(3))  # (3, 3), mounting rotation C_d^b
+    scale: float = 1.0  # measured over true velocity
 
     @classmethod
-    def of(cls, lever_arm_m: Sequence[float], rpy_deg: Sequence[float], scale: float) -> "DvlMounting":
-        """Make it of a lever arm in b, of roll, pitch and heading from d to b, and of a scale."""
+    def from_rpy(cls, lever_arm_m: Sequence[float], rpy_deg: Sequence[float], scale: float) -> "DvlMounting":
+        """Return a mounting from a lever arm in b, from roll, pitch and heading from d to b, and a scale."""
         return cls(np.array(lever_arm_m), mat_from_rpy(np.array(rpy_deg) * DEG), scale)
 
     def velocity_b(self, velocity_d: Floats) -> Floats:
@@ -152,26 +82,14 @@ class DvlMounting:
 
 
 def look_down(look: Floats) -> bool:
-    """Return whether beams look down that look on average along a vector, shape (3,), of forward-starboard-down."""
+    """Return whether beams look down, of their mean direction in forward-starboard-down, shape (3,)."""
     return bool(look[2] >= _DOWN * np.linalg.norm(look))
 
 
 def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIMUTH_DEG) -> Floats:
-    """Make the unit vectors of the beams, from the instrument towards the seabed.
+    """Return the unit vectors of the beams in d, from the instrument towards the seabed, shape (beams, 3).
 
     Levy and Klein print vectors of rank 2 that are not of unit length; see equations/beams.md.
-
-    Parameters
-    ----------
-    tilt_deg : float
-        Angle from the DVL's z axis.
-    azimuth_deg : sequence of float
-        One for each beam, from forward towards starboard.
-
-    Returns
-    -------
-    ndarray, shape (beams, 3)
-        In d.
     """
     tilt, azimuth = tilt_deg * DEG, np.array(azimuth_deg) * DEG
     down = np.full_like(azimuth, np.cos(tilt))
@@ -179,29 +97,15 @@ def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIM
 
 
 def solve_beams(
-    beam_velocity_mps: Floats, vectors_d: Floats, weights: Floats | None = None
+    beam_velocity_mps: Floats,  # (m, beams), NaN where a beam is lost
+    vectors_d: Floats,  # (beams, 3), unit vectors
+    weights: Floats | None = None,  # (beams,), inverse relative variances; all 1 when left out
 ) -> tuple[Floats, Floats, Floats]:
     """Solve velocities from beams by weighted least squares over the beams that are not NaN.
 
-    Equations (6) to (8) of Levy and Klein, with weights.
-
-    Parameters
-    ----------
-    beam_velocity_mps : ndarray, shape (m, beams)
-        NaN where a beam is lost.
-    vectors_d : ndarray, shape (beams, 3)
-        Unit vectors.
-    weights : ndarray, shape (beams,), optional
-        Inverse relative variances; all 1 when left out.
-
-    Returns
-    -------
-    velocity_d : ndarray, shape (m, 3)
-        NaN where the valid beams do not span three dimensions.
-    unit_cov_d : ndarray, shape (m, 3, 3)
-        ``(H' W H)^-1``, the covariance for unit variance at weight 1.
-    residual_mps : ndarray, shape (m,)
-        Weighted root mean square residual over its degrees of freedom; NaN where no beam is redundant.
+    Equations (6) to (8) of Levy and Klein, with weights. Returned are ``velocity_d``, shape (m, 3), NaN where the valid
+    beams do not span three dimensions; its covariance for unit variance at weight 1, ``(H' W H)^-1``, shape (m, 3, 3);
+    and the weighted rms residual over its degrees of freedom, shape (m,), NaN where no beam is redundant.
     """
     valid = np.isfinite(beam_velocity_mps)
     # Pings that have lost the same beams share their matrices.
@@ -228,15 +132,11 @@ def whole_ping_cov(vectors_d: Floats) -> Floats:
     return np.linalg.pinv(vectors_d.T @ vectors_d).astype(np.float64)
 
 
-Complex = NDArray[np.complex128]
-"""North and east as one number."""
+Complex = NDArray[np.complex128]  # north and east as one number
 
-LONGEST_PAUSE_S: Final = 2.5
-"""Through a longer pause of the velocity nobody saw what was between."""
-AROUND: Final = 3
-"""Steps before and after, of which a step that is no jump is like one."""
-OUTSTANDING: Final = 10.0
-"""Robust standard deviations of what usually stays unexplained, beyond which a step is a jump."""
+LONGEST_PAUSE_S: Final = 2.5  # the velocity is not integrated over a longer pause
+AROUND: Final = 3  # steps before and after; a step that is no jump is like one of them
+OUTSTANDING: Final = 10.0  # a jump is so many robust standard deviations of the unexplained part
 _LONG_STEP: Final = 3.0  # in usual ones
 _CURVED_S: Final = 1.5  # in longer steps a turning vehicle moves unlike in the ones around
 _MEDIAN_LENGTH: Final = 1.18  # of a vector of normal noise in a plane, in standard deviations
@@ -244,27 +144,20 @@ _MEDIAN_LENGTH: Final = 1.18  # of a vector of normal noise in a plane, in stand
 
 @dataclass(frozen=True)
 class Steps:
-    """From each position to the next: the displacement, and the integrated velocity, m; NaN where unknown.
+    """From each position to the next: the displacement, and the integrated velocity, m; NaN where unknown."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (k,)
-        Of the positions, from the first.
-    by_position_m, by_velocity_m : ndarray, shape (k - 1,)
-    """
-
-    time_s: Floats
-    by_position_m: Complex
-    by_velocity_m: Complex
+    time_s: Floats  # (k,), of the positions, from the first
+    by_position_m: Complex  # (k - 1,)
+    by_velocity_m: Complex  # (k - 1,)
 
 
 def horizontal(vectors: Floats) -> Complex:
-    """Make complex numbers of the first two parts of vectors, shape (k, 3)."""
+    """Return the first two parts of vectors, shape (k, 3), as complex numbers."""
     return np.asarray(vectors[:, 0] + 1j * vectors[:, 1])
 
 
 def steps_of(motion: ReferenceColumns) -> Steps:
-    """Take the steps of a track from each known position to the next."""
+    """Return the steps of a track from each known position to the next."""
     placed, moving = motion.known["positions"], motion.known["velocities"]
     time_ns = motion.time_ns[placed]
     if len(time_ns) < 2:
@@ -273,14 +166,25 @@ def steps_of(motion: ReferenceColumns) -> Steps:
     by_velocity_m = np.full(len(time_s) - 1, np.nan, complex)
     if np.count_nonzero(moving) >= 3:
         velocity_s = seconds(motion.time_ns[moving], time_ns[0])
-        by_velocity_m = _integrated_m(time_s, velocity_s, horizontal(motion.velocity_n[moving]))
-    return Steps(time_s, _displacements_m(motion.position[placed]), by_velocity_m)
+        velocity = horizontal(motion.velocity_n[moving])
+        # Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step. The change of the acceleration is
+        # the next term of Euler and Maclaurin.
+        step_s, acceleration = np.diff(velocity_s), np.gradient(velocity, velocity_s)
+        way_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
+        summed_m = np.append(0.0, np.cumsum(way_m))
+        paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_PAUSE_S, step_s, 0.0)))
+        by_velocity_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
+        by_velocity_m = np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m)
+    # Each step is measured on the ellipsoid where it is made, so that long ways are as right as short ones.
+    position = motion.position[placed]
+    north_m, east_m = north_east_m(position[1:], position[:-1], 0.5 * (position[1:] + position[:-1]))
+    return Steps(time_s, np.asarray(north_m + 1j * east_m), by_velocity_m)
 
 
 def unexplained_m(steps: Steps) -> Floats:
-    """Return how much of each step neither the velocity nor any of the steps around explains, shape (k - 1,), m.
+    """Return the part of each step that neither the velocity nor any of the steps around explains, shape (k - 1,), m.
 
-    NaN of steps that are much longer than usual, in which a vehicle may do anything, and of too few steps.
+    NaN for steps that are much longer than usual, and for too few steps.
     """
     step_s = np.diff(steps.time_s)
     if len(step_s) <= 2 * AROUND:
@@ -293,7 +197,7 @@ def unexplained_m(steps: Steps) -> Floats:
 
 
 def find_jumps(unlike: Floats, smallest: float | Floats) -> NDArray[np.int64]:
-    """Find the steps of which at least so much is unexplained, and `OUTSTANDING` times what usually is."""
+    """Return the steps whose unexplained part is at least ``smallest``, and `OUTSTANDING` times the usual one."""
     known: NDArray[np.bool_] = np.isfinite(unlike)
     if not known.any():
         return np.empty(0, np.int64)
@@ -302,31 +206,10 @@ def find_jumps(unlike: Floats, smallest: float | Floats) -> NDArray[np.int64]:
 
 
 def least_difference(steps: Floats) -> Floats:
-    """Return the distance of each of k vectors from the one of its neighbours that is nearest to it, shape (k,)."""
+    """Return the distance of each of k vectors from the nearest of its neighbours, shape (k,)."""
     least = np.full(len(steps), np.nan)
     for reach in range(1, AROUND + 1):
         apart = np.linalg.norm(steps[reach:] - steps[:-reach], axis=1)
         for rows in (slice(reach, None), slice(None, -reach)):  # these overlap
             least[rows] = np.fmin(least[rows], apart)
     return least
-
-
-def _displacements_m(position: Floats) -> Complex:
-    """Measure each step on the ellipsoid where it is made, so that long ways are as right as short ones."""
-    north_m, east_m = north_east_m(position[1:], position[:-1], 0.5 * (position[1:] + position[:-1]))
-    return np.asarray(north_m + 1j * east_m)
-
-
-def _integrated_m(time_s: Floats, velocity_s: Floats, velocity: Complex) -> Complex:
-    """Integrate the velocity from one time to the next; NaN over a pause of it, and outside of it.
-
-    Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step; what the acceleration's change adds is
-    Euler and Maclaurin's.
-    """
-    step_s = np.diff(velocity_s)
-    acceleration = np.gradient(velocity, velocity_s)
-    way_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
-    summed_m = np.append(0.0, np.cumsum(way_m))
-    paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_PAUSE_S, step_s, 0.0)))
-    by_velocity_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
-    return np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m)

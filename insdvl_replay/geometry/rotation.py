@@ -1,6 +1,6 @@
-"""Rotations as numpy formulae over rows: matrices, quaternions, roll-pitch-heading and rotation vectors.
+"""Rotations: matrices, quaternions, roll-pitch-heading and rotation vectors, as numpy formulae over rows.
 
-All functions take arrays with any leading dimensions.
+All functions take arrays with any leading dimensions: vectors (..., 3), quaternions (..., 4), matrices (..., 3, 3).
 Source: Groves, "Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems", 2nd edition, chapter 2.
 """
 
@@ -10,21 +10,11 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import Floats
 
-_UPRIGHT: Final = 1e-12
-"""Cosine of a pitch at which roll and heading are about one axis, but for rounding."""
+_UPRIGHT: Final = 1e-12  # cosine of a pitch at which roll and heading are about one axis
 
 
 def skew(vector: Floats) -> Floats:
-    """Make the matrix of the cross product: ``skew(a) @ b = a x b``.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (..., 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-    """
+    """Return the matrix of the cross product: ``skew(a) @ b = a x b``."""
     matrix = np.zeros((*vector.shape, 3))
     matrix[..., 0, 1], matrix[..., 0, 2] = -vector[..., 2], vector[..., 1]
     matrix[..., 1, 0], matrix[..., 1, 2] = vector[..., 2], -vector[..., 0]
@@ -33,31 +23,15 @@ def skew(vector: Floats) -> Floats:
 
 
 def mat_from_rpy(rpy: Floats) -> Floats:
-    """Turn roll, pitch, heading into the matrix body to north-east-down.
+    """Return the matrix body to north-east-down of roll, pitch, heading in rad, shape (..., 3).
 
-    Parameters
-    ----------
-    rpy : ndarray, shape (..., 3)
-        Roll, pitch, heading in rad, applied as heading, then pitch, then roll.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
+    Heading turns first, then pitch, then roll.
     """
     return mat_from_sines(np.sin(rpy), np.cos(rpy))
 
 
 def mat_from_sines(sine: Floats, cosine: Floats) -> Floats:
-    """Make the matrix of `mat_from_rpy` from the sines and cosines of roll, pitch, heading.
-
-    Parameters
-    ----------
-    sine, cosine : ndarray, shape (..., 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-    """
+    """Return the matrix of `mat_from_rpy` from sines and cosines of roll, pitch, heading, shape (..., 3)."""
     (sr, sp, sh), (cr, cp, ch) = np.moveaxis(sine, -1, 0), np.moveaxis(cosine, -1, 0)
     rows = [
         [cp * ch, sr * sp * ch - cr * sh, cr * sp * ch + sr * sh],
@@ -68,16 +42,9 @@ def mat_from_sines(sine: Floats, cosine: Floats) -> Floats:
 
 
 def turned(mat: Floats, vector: Floats) -> Floats:
-    """Take vectors into another frame by their matrices, with sums in the same order on every processor.
+    """Return ``mat @ vector``, with sums in the same order on every processor.
 
-    Parameters
-    ----------
-    mat : ndarray, shape (..., m, 3)
-    vector : ndarray, shape (..., 3)
-
-    Returns
-    -------
-    ndarray, shape (..., m)
+    The shapes (..., m, 3) and (..., 3) give (..., m).
     """
     x, y, z = (vector[..., None, i] for i in range(3))
     product: Floats = mat[..., 0] * x + mat[..., 1] * y + mat[..., 2] * z
@@ -85,16 +52,7 @@ def turned(mat: Floats, vector: Floats) -> Floats:
 
 
 def rpy_from_mat(mat_nb: Floats) -> Floats:
-    """Return roll, pitch, heading of an attitude matrix; heading in (-pi, pi], roll 0 where the bow points up or down.
-
-    Parameters
-    ----------
-    mat_nb : ndarray, shape (..., 3, 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 3), rad
-    """
+    """Return roll, pitch, heading in rad; heading in (-pi, pi], roll 0 where the bow points up or down."""
     roll = np.arctan2(mat_nb[..., 2, 1], mat_nb[..., 2, 2])
     pitch = -np.arcsin(np.clip(mat_nb[..., 2, 0], -1.0, 1.0))
     heading = np.arctan2(mat_nb[..., 1, 0], mat_nb[..., 0, 0])
@@ -107,17 +65,7 @@ def rpy_from_mat(mat_nb: Floats) -> Floats:
 
 
 def mat_from_quat(quat: Floats) -> Floats:
-    """Turn quaternions into matrices; a quaternion of no length gives NaN.
-
-    Parameters
-    ----------
-    quat : ndarray, shape (..., 4)
-        x, y, z, w, the order of ROS messages; normalised here.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-    """
+    """Return the matrices of quaternions x, y, z, w, the order of ROS, of any length; NaN for length zero."""
     norm = np.linalg.norm(quat, axis=-1, keepdims=True)
     unit = quat / np.where(norm > 0.0, norm, np.nan)
     vector, w = unit[..., :3], unit[..., 3, None, None]
@@ -128,18 +76,10 @@ def mat_from_quat(quat: Floats) -> Floats:
 
 
 def quat_from_mat(mat: Floats) -> Floats:
-    """Turn matrices into quaternions x, y, z, w with w >= 0.
+    """Return quaternions x, y, z, w with w >= 0.
 
-    Takes the largest of the four squared components first, so that no division is by a small number.
+    The largest of the four squared components comes first, so that no division is by a small number.
     Source: Shepperd, "Quaternion from Rotation Matrix", 1978.
-
-    Parameters
-    ----------
-    mat : ndarray, shape (..., 3, 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 4)
     """
     xx, yy, zz = mat[..., 0, 0], mat[..., 1, 1], mat[..., 2, 2]
     xy, xz, yz = mat[..., 1, 0] + mat[..., 0, 1], mat[..., 2, 0] + mat[..., 0, 2], mat[..., 2, 1] + mat[..., 1, 2]
@@ -159,17 +99,7 @@ def quat_from_mat(mat: Floats) -> Floats:
 
 
 def vector_from_mat(mat: Floats) -> Floats:
-    """Return the rotation vector of matrices, the logarithm of a rotation.
-
-    Parameters
-    ----------
-    mat : ndarray, shape (..., 3, 3)
-
-    Returns
-    -------
-    ndarray, shape (..., 3), rad
-        Axis times angle, the angle in [0, pi].
-    """
+    """Return rotation vectors in rad, the logarithm of a rotation; their length is in [0, pi]."""
     quat = quat_from_mat(mat)
     sine = np.linalg.norm(quat[..., :3], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quat[..., 3:])
@@ -179,17 +109,7 @@ def vector_from_mat(mat: Floats) -> Floats:
 
 
 def mat_from_vector(vector: Floats) -> Floats:
-    """Turn rotation vectors into matrices, the exponential of a rotation.
-
-    Parameters
-    ----------
-    vector : ndarray, shape (..., 3), rad
-        Axis times angle.
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-    """
+    """Return the matrices of rotation vectors in rad, the exponential of a rotation."""
     half = 0.5 * np.linalg.norm(vector, axis=-1, keepdims=True)
     # numpy's sinc(x) is sin(pi x) / (pi x).
     return mat_from_quat(np.concatenate([0.5 * np.sinc(half / np.pi) * vector, np.cos(half)], axis=-1))

@@ -200,7 +200,7 @@ def resolve_filters(config: Config) -> tuple[ResolvedFilter, ...]:
 
 def dvl_mounting(config: Config) -> DvlMounting:
     """Return how the configuration says that the DVL is mounted."""
-    return DvlMounting.of(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
+    return DvlMounting.from_rpy(config.dvl.lever_arm_m, config.dvl.mounting_rpy_deg, config.dvl.scale)
 
 
 def prepare_sensors(

@@ -1,12 +1,9 @@
-"""What a simulation can be asked for, and what it says to anything else.
-
-A simulated dive: the exact one, and the one that sensors report of it.
-"""
+"""A simulated dive: the exact one, and the one that its sensors report."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -38,156 +35,52 @@ from insdvl_replay.sim.sensor_errors import (
     add_sensor_errors,
     beam_vectors_d,
 )
-from insdvl_replay.sim.trajectories import SCENARIOS, Scenario, Trajectory, sine_and_cosine
+from insdvl_replay.sim.trajectories import SCENARIOS, Motion, Scenario, Trajectory, sine_and_cosine
 
-LONGEST_S: Final = 7 * 86400.0
-"""No simulated dive is longer: a week at 100 Hz already fills 10 GB."""
+LONGEST_S: Final = 7 * 86400.0  # a week at 100 Hz already fills 10 GB
+START_NS: Final = 1_704_067_200_000_000_000  # first IMU sample of every dive, 2024-01-01T00:00:00Z
+FIRST_PING_S: Final = 0.3717  # pings fall between IMU samples, as they do at sea
+BLOCK: Final = 100_000  # IMU samples worked on at once, which bounds the memory that a long dive takes
+
+NO_SENSORS: Final[Mapping[str, SensorErrors]] = MappingProxyType({})
+NO_RATES: Final[Mapping[str, float]] = MappingProxyType({})
 
 T = TypeVar("T")
 
 
 def named(kind: str, name: str, known: Mapping[str, T]) -> T:
-    """Look a name up, or say which one was meant.
-
-    Parameters
-    ----------
-    kind : str
-        What it names, for the error.
-
-    Returns
-    -------
-    anything
-        What the name stands for.
-
-    Raises
-    ------
-    ConfigError
-        The name is not known.
-    """
+    """Return what a name of a kind stands for; a ConfigError suggests another name."""
     require_known(kind, name, known)
     return known[name]
-
-
-def check_duration(duration_s: float) -> None:
-    """Require a duration above 0 that memory holds; a `ConfigError` else."""
-    check_positive("duration", "s", duration_s)
-    if duration_s > LONGEST_S:
-        raise ConfigError(
-            f"duration is {duration_s:g} s, and may be {LONGEST_S:g} s at most", f"--duration {LONGEST_S:g}"
-        )
-
-
-def check_positive(what: str, unit: str, value: float) -> None:
-    """Require a number above 0; a `ConfigError` else."""
-    if not 0.0 < value < np.inf:
-        raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
-
-
-def check_spans(spans: Sequence[LostBeam], duration_s: float) -> None:
-    """Require beams that there are, lost inside the dive until after they were; a `ConfigError` else."""
-    beams = len(AZIMUTH_DEG)
-    for span in spans:
-        if not span.start_s < span.end_s:
-            raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
-                "give its start first, then its end, in seconds from the start of the dive",
-            )
-        if span.start_s >= duration_s or span.end_s <= 0.0:
-            raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s lies outside the dive, which lasts "
-                f"{duration_s:g} s",
-                "give its start and its end in seconds from the start of the dive, or a longer --duration",
-            )
-        if not 0 <= span.beam < beams:
-            raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")
-
-
-START_NS: Final = 1_704_067_200_000_000_000
-"""Time of the first IMU sample of every dive, 2024-01-01T00:00:00Z."""
-FIRST_PING_S: Final = 0.3717
-"""Time of the first ping: pings fall between IMU samples, as they do at sea."""
-BLOCK: Final = 100_000
-"""IMU samples worked on at once, which bounds the memory that a long dive takes."""
-
-NO_SENSORS: Final[Mapping[str, SensorErrors]] = MappingProxyType({})
-NO_RATES: Final[Mapping[str, float]] = MappingProxyType({})
 
 
 def simulate_dive(
     scenario: str,
     *,
-    seed: int = 1,
-    duration_s: float | None = None,
+    seed: int = 1,  # of every error; not negative
     grade: str = "fog",
-    imu_rate_hz: float = 100.0,
-    dvl_rate_hz: float = 1.0,
-    reference_rate_hz: float = 5.0,
-    outages: Sequence[tuple[float, float]] = (),
-    lost_beams: Sequence[LostBeam] = (),
-    imu_errors: ImuErrors | None = None,
+    imu_errors: ImuErrors | None = None,  # instead of the grade's
     dvl_errors: DvlErrors | None = None,
-    lever_arm_m: Vector = (0.0, 0.0, 0.0),
-    mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
-    sensors: Mapping[str, SensorErrors] = NO_SENSORS,
+    sensors: Mapping[str, SensorErrors] = NO_SENSORS,  # beside IMU and DVL, by their names in `core.states.SENSORS`
     dvl_delay_s: float = 0.0,
     dvl_scale: float = 1.0,
+    **exact_options: Any,  # of `exact_dive`
 ) -> Dive:
-    """Simulate a dive as its sensors report it. The same arguments give the same bytes, whatever the processor.
+    """Simulate a dive as its sensors report it; the reference is the exact motion, truth holds the biases.
 
-    Parameters
-    ----------
-    scenario : str
-        A name in `trajectories.SCENARIOS`.
-    seed : int
-        Of every error; not negative.
-    grade : str
-        A name in `sensor_errors.GRADES`.
-    imu_errors, dvl_errors : optional
-        Instead of the grade's errors, and of the defaults of `DvlErrors`.
-    duration_s, imu_rate_hz, dvl_rate_hz, reference_rate_hz, outages, lost_beams, lever_arm_m, mounting_rpy_deg
-        As in `exact_dive`.
-    sensors : mapping of str to SensorErrors
-        Those that the vehicle has beside IMU and DVL, by their names in `core.states.SENSORS`.
-    dvl_delay_s, dvl_scale : float
-        As in `late_and_long`.
-
-    Returns
-    -------
-    Dive
-        The reference is the exact motion; truth holds the biases.
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario or grade, or a number that cannot be.
+    The same arguments give the same bytes on every processor.
     """
     if imu_errors is None:
         imu_errors = named("IMU grade", grade, GRADES)
-    exact = exact_dive(
-        scenario,
-        duration_s=duration_s,
-        imu_rate_hz=imu_rate_hz,
-        dvl_rate_hz=dvl_rate_hz,
-        reference_rate_hz=reference_rate_hz,
-        outages=outages,
-        lost_beams=lost_beams,
-        lever_arm_m=lever_arm_m,
-        mounting_rpy_deg=mounting_rpy_deg,
-        sensor_rates_hz={name: errors.rate_hz for name, errors in sensors.items()},
-    )
+    rates_hz = {name: errors.rate_hz for name, errors in sensors.items()}
+    exact = exact_dive(scenario, sensor_rates_hz=rates_hz, **exact_options)
     dive = add_errors(exact, imu_errors, dvl_errors or DvlErrors(), seed, sensors)
     return late_and_long(dive, dvl_delay_s, dvl_scale)
 
 
 def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
-    """Stamp the pings later than they are valid, and let them read so many times the velocity.
-
-    Raises
-    ------
-    ConfigError
-        A scale that is not above 0, or a delay that is no number.
-    """
-    check_positive("DVL scale", "times the velocity", scale)
+    """Stamp the pings later than they are valid, and multiply the velocity that they read."""
+    _check_positive("DVL scale", "times the velocity", scale)
     if not abs(delay_s) < LONGEST_S:
         raise ConfigError(f"DVL delay is {delay_s:g} s", "give the delay in s")
     if (delay_s, scale) == (0.0, 1.0) or dive.dvl.beam_velocity_mps is None:
@@ -197,103 +90,111 @@ def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
 
 
 def exact_dive(
-    scenario: str | Scenario,
+    scenario: str | Scenario,  # a name in `trajectories.SCENARIOS`, or anything with the functions of a scenario
     *,
-    duration_s: float | None = None,
-    imu_rate_hz: float = 100.0,
-    dvl_rate_hz: float = 1.0,
+    duration_s: float | None = None,  # cuts the scenario, or lets the vehicle go straight on
+    imu_rate_hz: float = 100.0,  # starts with the dive, as the reference
+    dvl_rate_hz: float = 1.0,  # starts at `FIRST_PING_S`
     reference_rate_hz: float = 5.0,
-    reference_at_pings: bool = False,
-    outages: Sequence[tuple[float, float]] = (),
+    reference_at_pings: bool = False,  # the reference has a row at the start and at each ping instead
+    outages: Sequence[tuple[float, float]] = (),  # start and end, s, of spans with NaN in all beams
     lost_beams: Sequence[LostBeam] = (),
-    lever_arm_m: Vector = (0.0, 0.0, 0.0),
-    mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),
-    sensor_rates_hz: Mapping[str, float] = NO_RATES,
+    lever_arm_m: Vector = (0.0, 0.0, 0.0),  # IMU to DVL, in b
+    mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),  # the DVL's mounting rotation, d to b
+    sensor_rates_hz: Mapping[str, float] = NO_RATES,  # beside IMU and DVL; they start with the dive, at the IMU
 ) -> Dive:
-    """Simulate a dive with perfect sensors. A Monte Carlo study needs it once, and `add_errors` for each run.
-
-    Parameters
-    ----------
-    scenario : str or Scenario
-        A name in `trajectories.SCENARIOS`, or anything with the functions of a scenario.
-    duration_s : float, optional
-        Cuts the scenario, or lets the vehicle go straight on; left out: the scenario's own.
-    imu_rate_hz, dvl_rate_hz, reference_rate_hz : float
-        The IMU and the reference start with the dive, the DVL at `FIRST_PING_S`.
-    reference_at_pings : bool
-        The reference has a row at the start and at each ping instead of a rate of its own.
-    outages : sequence of (start_s, end_s)
-        Spans in which no beam finds the bottom: such pings are there, and all NaN.
-    lost_beams : sequence of LostBeam
-        Spans in which one beam does not.
-    lever_arm_m : tuple of three floats
-        IMU to DVL, in b.
-    mounting_rpy_deg : tuple of three floats
-        The DVL's mounting rotation, d to b, as roll, pitch, heading.
-    sensor_rates_hz : mapping of str to float
-        Of the sensors beside IMU and DVL, which begin with the dive; they are at the IMU.
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario, or a number that cannot be.
-    """
+    """Simulate a dive with perfect sensors. A Monte Carlo study needs it once, and `add_errors` for each run."""
     way = named("scenario", scenario, SCENARIOS) if isinstance(scenario, str) else scenario
     end_s = way.duration_s if duration_s is None else duration_s
-    check_duration(end_s)
+    _check_positive("duration", "s", end_s)
+    if end_s > LONGEST_S:
+        raise ConfigError(f"duration is {end_s:g} s, and may be {LONGEST_S:g} s at most", f"--duration {LONGEST_S:g}")
     rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz, **sensor_rates_hz}
     for sensor, rate_hz in rates_hz.items():
-        check_positive(f"{sensor} rate", "Hz", rate_hz)
+        _check_positive(f"{sensor} rate", "Hz", rate_hz)
     if end_s * imu_rate_hz < 1.0:
         raise ConfigError(f"a dive of {end_s:g} s at {imu_rate_hz:g} Hz has less than two IMU samples", "--duration 60")
-    every_beam = range(len(AZIMUTH_DEG))
-    spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in every_beam)]
-    check_spans(spans, end_s)
+    beams = len(AZIMUTH_DEG)
+    spans = [*lost_beams, *(LostBeam(beam, *outage) for outage in outages for beam in range(beams))]
+    for span in spans:
+        if not span.start_s < span.end_s:
+            raise ConfigError(
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
+                "give its start first, then its end, in seconds from the start of the dive",
+            )
+        if span.start_s >= end_s or span.end_s <= 0.0:
+            raise ConfigError(
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s lies outside the dive, which lasts {end_s:g} s",
+                "give its start and its end in seconds from the start of the dive, or a longer --duration",
+            )
+        if not 0 <= span.beam < beams:
+            raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")
     trajectory = Trajectory(way, end_s)
-    ping_ns = _grid_ns(FIRST_PING_S, dvl_rate_hz, end_s)
-    own_ns = _grid_ns(0.0, reference_rate_hz, end_s)
-    reference = _reference(trajectory, np.append(START_NS, ping_ns) if reference_at_pings else own_ns)
+
+    def grid_ns(first_s: float, rate_hz: float) -> TimeNs:
+        # The end is included whatever its last bit.
+        count = max(0, int(np.floor((end_s - first_s) * rate_hz + 1e-6)) + 1)
+        return START_NS + np.rint((first_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
+
+    def motion_at(time_ns: TimeNs) -> Motion:
+        return trajectory.at(seconds(time_ns, START_NS))
+
+    # The IMU, by blocks.
+    imu_ns, ping_ns = grid_ns(0.0, imu_rate_hz), grid_ns(FIRST_PING_S, dvl_rate_hz)
+    blocks = [motion_at(block) for block in np.array_split(imu_ns, 1 + len(imu_ns) // BLOCK)]
+    forces_b, rates_b = [block.specific_force_b for block in blocks], [block.angular_rate_b for block in blocks]
+
+    # The DVL.
+    time_s, vectors_d, motion = seconds(ping_ns, START_NS), beam_vectors_d(), motion_at(ping_ns)
+    mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
+    velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
+    velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))
+    beam_velocity_mps = turned(vectors_d, velocity_d)
+    for span in spans:
+        beam_velocity_mps[(time_s >= span.start_s) & (time_s < span.end_s), span.beam] = np.nan
+
+    # The other sensors, and the reference with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad.
+    sensors = {}
+    for name, rate_hz in sensor_rates_hz.items():
+        reading_ns = grid_ns(0.0, rate_hz)
+        motion = motion_at(reading_ns)
+        values = named("sensor", name, SIMULATED).reading(motion)
+        sensors[name] = SensorColumns(reading_ns, values, motion.mat_nb if name == "heading" else None)
+    reference_ns = np.append(START_NS, ping_ns) if reference_at_pings else grid_ns(0.0, reference_rate_hz)
+    motion = motion_at(reference_ns)
+    reference = ReferenceColumns(
+        reference_ns,
+        position=np.round(motion.position, 11),
+        velocity_n=np.round(motion.velocity_n, 6),
+        mat_nb=np.round(motion.mat_nb, 12),
+    )
     unbiased = np.zeros_like(reference.velocity_n)
     return Dive(
         name=scenario if isinstance(scenario, str) else way.about,
-        imu=_imu(trajectory, _grid_ns(0.0, imu_rate_hz, end_s)),
-        dvl=_dvl(trajectory, ping_ns, lever_arm_m, mounting_rpy_deg, spans),
+        imu=ImuColumns(imu_ns, np.concatenate(forces_b), np.concatenate(rates_b)),
+        dvl=DvlColumns(ping_ns, beam_velocity_mps, vectors_d),
         reference=reference,
-        truth=TruthColumns(reference.time_ns, unbiased, unbiased),
-        sensors={
-            name: _sensor(trajectory, name, _grid_ns(0.0, rate_hz, end_s)) for name, rate_hz in sensor_rates_hz.items()
-        },
+        truth=TruthColumns(reference_ns, unbiased, unbiased),
+        sensors=sensors,
     )
+
+
+def _check_positive(what: str, unit: str, value: float) -> None:
+    if not 0.0 < value < np.inf:
+        raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
 
 
 def add_errors(
     exact: Dive,
     imu_errors: ImuErrors,
     dvl_errors: DvlErrors,
-    seed: int,
+    seed: int,  # not negative
     sensor_errors: Mapping[str, SensorErrors] = NO_SENSORS,
 ) -> Dive:
-    """Let the sensors of an exact dive err.
+    """Add sensor errors to an exact dive, with the biases as truth, at the times of the exact dive's truth.
 
-    Parameters
-    ----------
-    exact : Dive
-        From `exact_dive`.
-    seed : int
-        Not negative. Accelerometers, gyros and DVL draw from streams of their own, by numpy's ziggurat, which asks the
-        C library for a logarithm once in thousands of draws; readings are rounded to their quantum after it.
-
-    Returns
-    -------
-    Dive
-        With the biases as truth, at the times of the exact dive's truth.
-
-    Raises
-    ------
-    ConfigError
-        The seed is negative.
-    ValueError
-        The dive holds no truth to replace.
+    Accelerometers, gyros and DVL draw from streams of their own, by numpy's ziggurat, which asks the C library for a
+    logarithm once in thousands of draws; readings are rounded to their quantum after it.
     """
     if seed < 0:
         raise ConfigError(f"seed {seed} is negative", f"--seed {-seed}")
@@ -302,64 +203,17 @@ def add_errors(
     accel_rng, gyro_rng, dvl_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
     sensor_rngs = {name: np.random.default_rng([seed, *name.encode()]) for name in sensor_errors}
     imu, biases = add_imu_errors(exact.imu, imu_errors, accel_rng, gyro_rng)
+    time_ns = exact.truth.time_ns
+    latest = np.searchsorted(biases.time_ns, time_ns, side="right") - 1
     return replace(
         exact,
         imu=imu,
         dvl=add_dvl_errors(exact.dvl, dvl_errors, dvl_rng),
-        truth=_truth_at(exact.truth.time_ns, biases),
+        truth=TruthColumns(
+            time_ns, np.round(biases.accel_bias_b[latest], 10), np.round(biases.gyro_bias_b[latest], 14)
+        ),
         sensors={
             name: add_sensor_errors(name, exact.sensors[name], errors, sensor_rngs[name])
             for name, errors in sensor_errors.items()
         },
     )
-
-
-def _grid_ns(first_s: float, rate_hz: float, end_s: float) -> TimeNs:
-    """Count evenly from the first sample to the end, the end included whatever its last bit."""
-    count = max(0, int(np.floor((end_s - first_s) * rate_hz + 1e-6)) + 1)
-    return START_NS + np.rint((first_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
-
-
-def _imu(trajectory: Trajectory, time_ns: TimeNs) -> ImuColumns:
-    motions = [trajectory.at(block) for block in np.array_split(seconds(time_ns, START_NS), 1 + len(time_ns) // BLOCK)]
-    return ImuColumns(
-        time_ns,
-        np.concatenate([motion.specific_force_b for motion in motions]),
-        np.concatenate([motion.angular_rate_b for motion in motions]),
-    )
-
-
-def _dvl(
-    trajectory: Trajectory, time_ns: TimeNs, lever_arm_m: Vector, mounting_rpy_deg: Vector, spans: Sequence[LostBeam]
-) -> DvlColumns:
-    time_s, vectors_d = seconds(time_ns, START_NS), beam_vectors_d()
-    motion = trajectory.at(time_s)
-    mat_db = mat_from_sines(*sine_and_cosine(np.array(mounting_rpy_deg) * DEG)).T
-    velocity_b = turned(np.swapaxes(motion.mat_nb, -1, -2), motion.velocity_n)
-    velocity_d = turned(mat_db, velocity_b + np.cross(motion.turn_rate_b, lever_arm_m))
-    beam_velocity_mps = turned(vectors_d, velocity_d)
-    for span in spans:
-        beam_velocity_mps[(time_s >= span.start_s) & (time_s < span.end_s), span.beam] = np.nan
-    return DvlColumns(time_ns, beam_velocity_mps, vectors_d)
-
-
-def _sensor(trajectory: Trajectory, name: str, time_ns: TimeNs) -> SensorColumns:
-    motion = trajectory.at(seconds(time_ns, START_NS))
-    values = named("sensor", name, SIMULATED).reading(motion)
-    return SensorColumns(time_ns, values, motion.mat_nb if name == "heading" else None)
-
-
-def _reference(trajectory: Trajectory, time_ns: TimeNs) -> ReferenceColumns:
-    """Write the motion down with as many digits as matter: below 0.1 mm, 1 um/s and 1 prad."""
-    motion = trajectory.at(seconds(time_ns, START_NS))
-    return ReferenceColumns(
-        time_ns,
-        position=np.round(motion.position, 11),
-        velocity_n=np.round(motion.velocity_n, 6),
-        mat_nb=np.round(motion.mat_nb, 12),
-    )
-
-
-def _truth_at(time_ns: TimeNs, biases: TruthColumns) -> TruthColumns:
-    latest = np.searchsorted(biases.time_ns, time_ns, side="right") - 1
-    return TruthColumns(time_ns, np.round(biases.accel_bias_b[latest], 10), np.round(biases.gyro_bias_b[latest], 14))

@@ -1,8 +1,7 @@
-"""How sensors err: inertial ones by a bias that wanders, white noise and the steps of their digits, a DVL by its beams.
+"""Sensor errors: of IMUs a bias that wanders, white noise and the steps of their digits; of a DVL those of its beams.
 
-White noise and random walk as IEEE Std 952, annex C, defines them by their Allan variance.
-
-What the sensors beside IMU and DVL read along a trajectory, and how they err.
+White noise and random walk as IEEE Std 952, annex C, defines them by their Allan variance. The sensors beside IMU and
+DVL have white noise.
 """
 
 import math
@@ -19,34 +18,23 @@ from insdvl_replay.geometry.frames import beam_vectors, moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
 from insdvl_replay.sim.trajectories import Motion
 
-DEG_PER_RT_HOUR: Final = DEG / 60.0
-"""One deg/sqrt(h), the unit of angular random walk on data sheets, in rad/sqrt(s)."""
+DEG_PER_RT_HOUR: Final = DEG / 60.0  # the unit of angular random walk on data sheets, in rad/sqrt(s)
 
 
 @dataclass(frozen=True)
 class ImuErrors:
-    """Size of the errors of three like accelerometers and three like gyros.
+    """Size of the errors of three equal accelerometers and three equal gyros.
 
-    Attributes
-    ----------
-    accel_white_mps_rts, gyro_white_rad_rts : float
-        White noise density N; one sample at rate f has the standard deviation N sqrt(f), its integral over t has
-        N sqrt(t).
-    accel_bias_sd_mps2, gyro_bias_sd_radps : float
-        Standard deviation of the bias at the start of a dive.
-    accel_bias_walk_mps2_rts, gyro_bias_walk_radps_rts : float
-        Random walk K of the bias: after t it has moved by K sqrt(t).
-    accel_quantum_mps2, gyro_quantum_radps : float
-        Steps to which readings are rounded; 0 for none.
+    White noise N has the standard deviation N sqrt(f) in one sample at rate f, and N sqrt(t) in its integral over t.
     """
 
     accel_white_mps_rts: float = 0.0
     gyro_white_rad_rts: float = 0.0
-    accel_bias_sd_mps2: float = 0.0
+    accel_bias_sd_mps2: float = 0.0  # of the bias at the start of a dive
     gyro_bias_sd_radps: float = 0.0
-    accel_bias_walk_mps2_rts: float = 0.0
+    accel_bias_walk_mps2_rts: float = 0.0  # random walk K: after t the bias has moved by K sqrt(t)
     gyro_bias_walk_radps_rts: float = 0.0
-    accel_quantum_mps2: float = 0.0
+    accel_quantum_mps2: float = 0.0  # step to which readings are rounded; 0 for none
     gyro_quantum_radps: float = 0.0
 
 
@@ -90,18 +78,7 @@ GRADES: Final[Mapping[str, ImuErrors]] = MappingProxyType(
 
 
 def quantise(values: Floats, quantum: float) -> Floats:
-    """Round to whole multiples of a quantum; 0 leaves the values as they are.
-
-    Parameters
-    ----------
-    values : ndarray, any shape
-    quantum : float
-        In the unit of the values.
-
-    Returns
-    -------
-    ndarray, the same shape
-    """
+    """Round to whole multiples of a quantum; 0 leaves the values unchanged."""
     if quantum == 0.0:
         return values
     rounded: Floats = np.rint(values / quantum) * quantum
@@ -112,10 +89,16 @@ def add_imu_errors(
     exact: ImuColumns, errors: ImuErrors, accel_rng: np.random.Generator, gyro_rng: np.random.Generator
 ) -> tuple[ImuColumns, TruthColumns]:
     """Add bias, white noise and steps; return the readings and the biases that were drawn."""
+
+    def bias(start_sd: float, walk: float, rng: np.random.Generator) -> Floats:
+        steps = walk * root_s * rng.standard_normal(shape)
+        steps[0] = start_sd * rng.standard_normal(shape[1:])
+        return np.asarray(np.cumsum(steps, axis=0))
+
     interval_s = float(exact.time_ns[-1] - exact.time_ns[0]) * 1e-9 / (len(exact.time_ns) - 1)
     root_s, shape = math.sqrt(interval_s), exact.specific_force_b.shape
-    accel_bias = _bias(shape, errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts * root_s, accel_rng)
-    gyro_bias = _bias(shape, errors.gyro_bias_sd_radps, errors.gyro_bias_walk_radps_rts * root_s, gyro_rng)
+    accel_bias = bias(errors.accel_bias_sd_mps2, errors.accel_bias_walk_mps2_rts, accel_rng)
+    gyro_bias = bias(errors.gyro_bias_sd_radps, errors.gyro_bias_walk_radps_rts, gyro_rng)
     accel_noise = errors.accel_white_mps_rts / root_s * accel_rng.standard_normal(shape)
     gyro_noise = errors.gyro_white_rad_rts / root_s * gyro_rng.standard_normal(shape)
     imu = ImuColumns(
@@ -126,73 +109,40 @@ def add_imu_errors(
     return imu, TruthColumns(exact.time_ns, accel_bias, gyro_bias)
 
 
-def _bias(shape: tuple[int, ...], start_sd: float, step_sd: float, rng: np.random.Generator) -> Floats:
-    """Draw a bias and let it wander, one step per sample."""
-    steps = step_sd * rng.standard_normal(shape)
-    steps[0] = start_sd * rng.standard_normal(shape[1:])
-    walk: Floats = np.cumsum(steps, axis=0)
-    return walk
-
-
 @dataclass(frozen=True)
 class DvlErrors:
     """Size of the errors of one beam: ``y = (b . v_d)(1 + scale) + bias + noise``.
 
     The defaults are those of a 600 kHz bottom-track DVL: 4.2 mm/s in a beam are 6 mm/s in each horizontal axis of four
     beams at 30 deg.
-
-    Attributes
-    ----------
-    beam_sd_mps : float
-        White noise of one reading.
-    beam_bias_sd_mps : float
-        Standard deviation of a beam's constant offset, drawn once a dive.
-    beam_scale_sd : float
-        Standard deviation of a beam's scale error, drawn once a dive.
-    beam_quantum_mps : float
-        Step to which readings are rounded; 0 for none.
-    velocity_sd_mps : float
-        White noise that the beams of a ping share: each axis of the velocity has as much of it.
     """
 
-    beam_sd_mps: float = 0.0042
-    beam_bias_sd_mps: float = 0.001
-    beam_scale_sd: float = 0.002
-    beam_quantum_mps: float = 1e-4
-    velocity_sd_mps: float = 0.0
+    beam_sd_mps: float = 0.0042  # white noise of one reading
+    beam_bias_sd_mps: float = 0.001  # a beam's constant offset, drawn once a dive
+    beam_scale_sd: float = 0.002  # a beam's scale error, drawn once a dive
+    beam_quantum_mps: float = 1e-4  # step to which readings are rounded; 0 for none
+    velocity_sd_mps: float = 0.0  # white noise on each axis of the velocity, which the beams of a ping share
 
 
 @dataclass(frozen=True)
 class LostBeam:
-    """A span in which one beam finds no bottom.
+    """A span in which one beam finds no bottom."""
 
-    Attributes
-    ----------
-    beam : int
-        Row of `beam_vectors_d`, from 0.
-    start_s, end_s : float
-        Seconds from the start of the dive; the end is not part of the span.
-    """
-
-    beam: int
-    start_s: float
-    end_s: float
+    beam: int  # row of `beam_vectors_d`, from 0
+    start_s: float  # from the start of the dive
+    end_s: float  # not part of the span
 
 
 def beam_vectors_d() -> Floats:
-    """Return the unit vectors of a Janus of four beams, from the instrument towards the seabed.
+    """Return the unit vectors of a Janus of four beams, from the instrument towards the seabed, shape (4, 3).
 
-    They are rounded to twelve digits, so that no machine's last bit of a sine shows in a log.
-
-    Returns
-    -------
-    ndarray, shape (4, 3)
+    They are rounded to twelve digits, so that no machine's last bit of a sine is in a log.
     """
     return np.round(beam_vectors(), 12)
 
 
 def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generator) -> DvlColumns:
-    """Spoil perfect beams; lost ones stay lost."""
+    """Add errors to exact beams; lost ones stay lost."""
     if exact.beam_velocity_mps is None or exact.beam_vectors_d is None:
         raise ValueError("the errors of a DVL are drawn for its beams, and these columns hold none")
     pings, beams = exact.beam_velocity_mps.shape
@@ -206,50 +156,32 @@ def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generato
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """How often a sensor reads, and how large its white noise is in the unit of its kind, see `UNITS`."""
+    """White noise and rate of a sensor."""
 
-    sd: float
+    sd: float  # in the unit of `SIMULATED`
     rate_hz: float = 1.0
 
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """One kind of sensor.
+    """One kind of sensor beside IMU and DVL."""
 
-    Attributes
-    ----------
-    unit : str
-        Of its noise, for the user.
-    si : float
-        One of it in the unit of the readings.
-    reading : callable
-        From the motion to exact readings, shape (k, s).
-    """
-
-    unit: str
-    si: float
-    reading: Callable[[Motion], Floats]
-
-
-def _depth_m(motion: Motion) -> Floats:
-    return np.asarray(-motion.position[:, 2:])
-
-
-def _heading_rad(motion: Motion) -> Floats:
-    """Return the headings to twelve digits: no two processors' arcs agree beyond."""
-    return np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))
+    unit: str  # of its noise, for the user
+    si: float  # one of it in the unit of the readings
+    reading: Callable[[Motion], Floats]  # exact readings, shape (k, s)
 
 
 SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
-    "depth": SimulatedSensor("m", 1.0, _depth_m),
-    "heading": SimulatedSensor("deg", DEG, _heading_rad),
+    "depth": SimulatedSensor("m", 1.0, lambda motion: np.asarray(-motion.position[:, 2:])),
+    # To twelve digits: the arcs of two processors differ beyond.
+    "heading": SimulatedSensor("deg", DEG, lambda motion: np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))),
     "position": SimulatedSensor("m", 1.0, lambda motion: motion.position),
 }
 """By the names of `core.states.SENSORS`; at the IMU's place."""
 
 
 def add_sensor_errors(name: str, exact: SensorColumns, errors: SensorErrors, rng: np.random.Generator) -> SensorColumns:
-    """Add white noise to exact readings; of an attitude to each of its angles."""
+    """Add white noise to exact readings; for an attitude to each of its angles."""
     sd = SIMULATED[name].si * errors.sd
     noise = sd * rng.standard_normal(exact.values.shape)
     values = moved_position(exact.values, noise) if name == "position" else exact.values + noise

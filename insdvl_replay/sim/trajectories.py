@@ -1,12 +1,9 @@
-"""How the vehicle moves: heading, pitch, roll and forward speed as smooth functions of time, with exact derivatives.
+"""How the vehicle moves, as smooth functions of time with exact derivatives, and what perfect sensors feel.
 
-Times are seconds from the start of the dive and may be any; after its last segment a vehicle goes straight on.
-
-What perfect sensors feel along a scenario: the equations of navigation, turned round.
-
-Nothing is differentiated numerically. Velocity, acceleration and rates are formulae in time; only the position is
-integrated. All is computed by operations that every processor rounds alike, so that it is the same to the last bit:
-sums, products, quotients and roots, sines from `trajectories`, and no matrix products, whose order of summation varies.
+Times are seconds from the start of the dive and may be any; after its last segment a vehicle goes straight on. Nothing
+is differentiated numerically. Velocity, acceleration and rates are formulae in time; only the position is integrated.
+All operations are rounded alike by every processor, so that a motion is the same to the last bit: sums, products,
+quotients and roots, sines of our own, and no matrix products, whose order of summation varies.
 """
 
 from collections.abc import Mapping
@@ -32,17 +29,7 @@ _COSINE_ORDERS: Final = range(16, 0, -2)
 
 
 def sine_and_cosine(angle: Floats) -> tuple[Floats, Floats]:
-    """Return sine and cosine, within one unit of the last bit of 1.
-
-    Parameters
-    ----------
-    angle : ndarray, any shape, rad
-        Within a million of zero.
-
-    Returns
-    -------
-    sine, cosine : ndarray, the same shape
-    """
+    """Return sine and cosine of angles within a million rad of zero, to one unit of the last bit of 1."""
     quarters = np.rint(angle / QUARTER_TURN[0])
     rest = angle
     for part in QUARTER_TURN:
@@ -64,25 +51,15 @@ def _series(square: Floats, orders: range) -> Floats:
     return total
 
 
-HEADING_DEG: Final = 30.0
-"""Heading at the start of every scenario."""
-RAMP_S: Final = 2.0
-"""Time in which a turn rate grows from nothing to its full value."""
+HEADING_DEG: Final = 30.0  # at the start of every scenario
+RAMP_S: Final = 2.0  # time in which a turn rate grows from nothing to its full value
 
 
 @dataclass(frozen=True)
 class Wave:
-    """A quantity that swings around its mean: ``mean + amplitude sin(2 pi t / period_s)``.
+    """A quantity that swings around its mean: ``mean + amplitude sin(2 pi t / period_s)``."""
 
-    Attributes
-    ----------
-    mean, amplitude : float
-        In the unit of the quantity.
-    period_s : float
-        Time of one swing.
-    """
-
-    mean: float = 0.0
+    mean: float = 0.0  # in the unit of the quantity, as the amplitude
     amplitude: float = 0.0
     period_s: float = 60.0
 
@@ -92,7 +69,7 @@ class Wave:
         return self.mean + self.amplitude * sine
 
     def rate(self, time_s: Floats) -> Floats:
-        """Return its derivative, per second, at times of shape (k,)."""
+        """Return its derivative, per second."""
         frequency = 2.0 * np.pi / self.period_s
         _, cosine = sine_and_cosine(frequency * time_s)
         return self.amplitude * frequency * cosine
@@ -102,19 +79,12 @@ class Wave:
 class Segment:
     """A part of the way with one turn, or none.
 
-    The turn rate rises in `RAMP_S`, holds, and falls in `RAMP_S`. Both ramps are the polynomial 3u^2 - 2u^3, so that
-    the turn rate has a continuous derivative.
-
-    Attributes
-    ----------
-    duration_s : float
-        Above `RAMP_S` where the heading changes; the full rate is reached from twice `RAMP_S` on.
-    turn_deg : float
-        Change of heading, positive to starboard.
+    The turn rate rises in `RAMP_S`, holds, and falls in `RAMP_S`. Both ramps are the polynomial 3u^2 - 2u^3, which
+    gives the turn rate a continuous derivative.
     """
 
-    duration_s: float
-    turn_deg: float = 0.0
+    duration_s: float  # above `RAMP_S` in a turn; the full rate is reached from twice `RAMP_S` on
+    turn_deg: float = 0.0  # positive to starboard
 
     @property
     def peak_rate(self) -> float:
@@ -122,20 +92,20 @@ class Segment:
         return self.turn_deg * DEG / (self.duration_s - RAMP_S)
 
     def heading_change(self, time_s: Floats) -> Floats:
-        """Return the change of heading, rad, at seconds from the segment's start, shape (k,)."""
+        """Return the change of heading, rad, at seconds from the segment's start."""
         fall_s = time_s - (self.duration_s - RAMP_S)
         change: Floats = self.peak_rate * RAMP_S * (_ramp_area(time_s / RAMP_S) - _ramp_area(fall_s / RAMP_S))
         return change
 
     def heading_rate(self, time_s: Floats) -> Floats:
-        """Return the turn rate, rad/s, at seconds from the segment's start, shape (k,)."""
+        """Return the turn rate, rad/s, at seconds from the segment's start."""
         fall_s = time_s - (self.duration_s - RAMP_S)
         rate: Floats = self.peak_rate * (_ramp(time_s / RAMP_S) - _ramp(fall_s / RAMP_S))
         return rate
 
 
 def turn(turn_deg: float, peak_rate_degps: float) -> Segment:
-    """Make the segment that turns by an angle at a given rate between its ramps."""
+    """Return the segment that turns by an angle at a given rate between its ramps."""
     return Segment(abs(turn_deg) / peak_rate_degps + RAMP_S, turn_deg)
 
 
@@ -155,32 +125,16 @@ def _ramp_area(u: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A way through the water.
+    """A way through the water."""
 
-    Attributes
-    ----------
-    about : str
-        What it is, in one line.
-    duration_s : float
-        How long the dive is unless it is asked to be shorter or longer.
-    speed_mps : Wave
-        Speed along the body's forward axis.
-    segments : tuple of Segment
-        Legs and turns in their order, from the start.
-    roll_deg, pitch_deg : Wave
-        How the vehicle tilts on its way.
-    sway_mps, heave_mps : Wave
-        Speed to starboard and down.
-    """
-
-    about: str
-    duration_s: float
-    speed_mps: Wave
-    segments: tuple[Segment, ...] = ()
+    about: str  # in one line
+    duration_s: float  # unless the dive is asked to be shorter or longer
+    speed_mps: Wave  # forward
+    segments: tuple[Segment, ...] = ()  # legs and turns in their order
     roll_deg: Wave = Wave()
     pitch_deg: Wave = Wave()
-    sway_mps: Wave = Wave()
-    heave_mps: Wave = Wave()
+    sway_mps: Wave = Wave()  # to starboard
+    heave_mps: Wave = Wave()  # down
 
     def _turns(self, time_s: Floats) -> list[tuple[Segment, Floats]]:
         """Pair each turn with the seconds since it began."""
@@ -276,69 +230,71 @@ STEP_S: Final = 0.05
 
 @dataclass(frozen=True)
 class Motion:
-    """The exact motion at k times.
+    """The exact motion at k times."""
 
-    Attributes
-    ----------
-    position : ndarray, shape (k, 3)
-        Latitude rad, longitude rad, height m.
-    velocity_n : ndarray, shape (k, 3)
-        Velocity over ground, m/s.
-    mat_nb : ndarray, shape (k, 3, 3)
-        Attitude.
-    specific_force_b : ndarray, shape (k, 3)
-        Specific force, m/s^2.
-    angular_rate_b : ndarray, shape (k, 3)
-        Angular rate against inertial space, rad/s.
-    turn_rate_b : ndarray, shape (k, 3)
-        Angular rate against the Earth, rad/s.
-    """
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    specific_force_b: Floats
-    angular_rate_b: Floats
-    turn_rate_b: Floats
+    position: Floats  # (k, 3), latitude rad, longitude rad, height m
+    velocity_n: Floats  # (k, 3), over ground, m/s
+    mat_nb: Floats  # (k, 3, 3)
+    specific_force_b: Floats  # (k, 3), m/s^2
+    angular_rate_b: Floats  # (k, 3), against inertial space, rad/s
+    turn_rate_b: Floats  # (k, 3), against the Earth, rad/s
 
 
 class Trajectory:
-    """A scenario put on the Earth.
-
-    Parameters
-    ----------
-    end_s : float
-        How far the trajectory is needed, seconds from the start.
-    """
+    """A scenario on the Earth, up to ``end_s`` seconds from the start."""
 
     def __init__(self, scenario: Scenario, end_s: float) -> None:
+        # Position and its rate at knots. The rates of latitude and longitude depend on the position only through the
+        # radii of curvature, so that each repetition leaves the square of the error: after two for a day's dive it is
+        # far below a micrometre.
         self._scenario = scenario
-        knots_s = np.linspace(0.0, end_s, int(np.ceil(end_s / STEP_S)) + 1)
-        mat_nb = mat_from_sines(*sine_and_cosine(scenario.rpy(knots_s)))
-        self._way = _Way.of_velocity(knots_s, turned(mat_nb, scenario.velocity_b(knots_s)))
+        self._knots_s = np.linspace(0.0, end_s, int(np.ceil(end_s / STEP_S)) + 1)
+        mat_nb = mat_from_sines(*sine_and_cosine(scenario.rpy(self._knots_s)))
+        velocity_n = turned(mat_nb, scenario.velocity_b(self._knots_s))
+        self._position = np.tile(START, (len(self._knots_s), 1))
+        for _ in range(3):
+            rate = _position_rate(self._position, velocity_n)
+            self._position = START + cumulative_simpson(rate, x=self._knots_s, axis=0, initial=0.0)
+        self._rate = _position_rate(self._position, velocity_n)
 
     def at(self, time_s: Floats) -> Motion:
         """Return the motion at any times up to the trajectory's end.
 
         Implements ``f_b = C'(v' - g + (2 w_ie + w_en) x v)`` and ``w_b = w_nb + C'(w_ie + w_en)`` with
         ``v' = C (w_nb x v_b + v_b')``; see equations/mechanisation.md.
-
-        Parameters
-        ----------
-        time_s : ndarray, shape (k,)
         """
+        # Hermite's cubic between the knots.
+        left = np.clip(np.searchsorted(self._knots_s, time_s, side="right") - 1, 0, len(self._knots_s) - 2)
+        right = left + 1
+        step_s = (self._knots_s[right] - self._knots_s[left])[:, None]
+        done = (time_s - self._knots_s[left])[:, None] / step_s
+        ahead = 1.0 - done
+        chord = self._position[right] - self._position[left]
+        bend = done * ahead * step_s * (ahead * self._rate[left] - done * self._rate[right])
+        position: Floats = self._position[left] + done * done * (3.0 - 2.0 * done) * chord + bend
+
         sine, cosine = sine_and_cosine(self._scenario.rpy(time_s))
         velocity_b = self._scenario.velocity_b(time_s)
         mat_nb = mat_from_sines(sine, cosine)
         mat_bn = np.swapaxes(mat_nb, -1, -2)
-        position = self._way.position(time_s)
         velocity_n = turned(mat_nb, velocity_b)
-        place = _Place(position)
-        rate_ie_b = turned(mat_bn, place.earth_rate_n())
-        rate_en_b = turned(mat_bn, place.transport_rate_n(velocity_n))
-        rate_nb_b = _body_rate(sine, cosine, self._scenario.rpy_rate(time_s))
+
+        # The rates of the Earth, of n, and of b against n.
+        sine_lat, cosine_lat = sine_and_cosine(position[:, 0])
+        sin2, height_m = sine_lat * sine_lat, position[:, 2]
+        rate_ie_n = np.stack(np.broadcast_arrays(*earth_rate_of(sine_lat, cosine_lat)), axis=-1)
+        north = velocity_n[:, 1] / (transverse_radius_of(sin2) + height_m)
+        east = -velocity_n[:, 0] / (meridian_radius_of(sin2) + height_m)
+        rate_en_n = np.stack([north, east, -north * sine_lat / cosine_lat], axis=-1)
+        rate_ie_b, rate_en_b = turned(mat_bn, rate_ie_n), turned(mat_bn, rate_en_n)
+        (sr, sp, _), (cr, cp, _) = sine.T, cosine.T
+        roll_rate, pitch_rate, heading_rate = self._scenario.rpy_rate(time_s).T
+        about_y = cp * heading_rate
+        rates = [roll_rate - sp * heading_rate, cr * pitch_rate + sr * about_y, cr * about_y - sr * pitch_rate]
+        rate_nb_b = np.stack(rates, axis=-1)
+
         acceleration_b = np.cross(rate_nb_b, velocity_b) + self._scenario.velocity_rate_b(time_s)
-        gravity_b = mat_nb[:, 2, :] * place.gravity()[:, None]
+        gravity_b = mat_nb[:, 2, :] * gravity_of(sin2, height_m)[:, None]
         coriolis_b = np.cross(2.0 * rate_ie_b + rate_en_b, velocity_b)
         return Motion(
             position=position,
@@ -350,76 +306,11 @@ class Trajectory:
         )
 
 
-@dataclass(frozen=True)
-class _Way:
-    """Position and its rate at k knots, and between them Hermite's cubic."""
-
-    knots_s: Floats
-    knot_position: Floats
-    knot_rate: Floats
-
-    @classmethod
-    def of_velocity(cls, knots_s: Floats, velocity_n: Floats) -> "_Way":
-        """Integrate the position.
-
-        The rates of latitude and longitude depend on the position only through the radii of curvature, so that each
-        repetition leaves the square of the error: after two of a day's dive it is far below a micrometre.
-        """
-        position = np.tile(START, (len(knots_s), 1))
-        for _ in range(3):
-            rate = _Place(position).position_rate(velocity_n)
-            position = START + cumulative_simpson(rate, x=knots_s, axis=0, initial=0.0)
-        return cls(knots_s, position, _Place(position).position_rate(velocity_n))
-
-    def position(self, time_s: Floats) -> Floats:
-        """Return the position at times of shape (k,)."""
-        left = np.clip(np.searchsorted(self.knots_s, time_s, side="right") - 1, 0, len(self.knots_s) - 2)
-        right = left + 1
-        step_s = (self.knots_s[right] - self.knots_s[left])[:, None]
-        done = (time_s - self.knots_s[left])[:, None] / step_s
-        ahead = 1.0 - done
-        chord = self.knot_position[right] - self.knot_position[left]
-        bend = done * ahead * step_s * (ahead * self.knot_rate[left] - done * self.knot_rate[right])
-        between: Floats = self.knot_position[left] + done * done * (3.0 - 2.0 * done) * chord + bend
-        return between
-
-
-class _Place:
-    """The Earth at k positions."""
-
-    def __init__(self, position: Floats) -> None:
-        self._sine, self._cosine = sine_and_cosine(position[:, 0])
-        self._sin2, self._height_m = self._sine * self._sine, position[:, 2]
-
-    def position_rate(self, velocity_n: Floats) -> Floats:
-        """Return the rates of latitude, longitude and height."""
-        north_mps, east_mps, down_mps = velocity_n.T
-        latitude_rate = north_mps / (meridian_radius_of(self._sin2) + self._height_m)
-        longitude_rate = east_mps / ((transverse_radius_of(self._sin2) + self._height_m) * self._cosine)
-        return np.stack([latitude_rate, longitude_rate, -down_mps], axis=-1)
-
-    def gravity(self) -> Floats:
-        """Return the magnitude of gravity."""
-        gravity: Floats = gravity_of(self._sin2, self._height_m)
-        return gravity
-
-    def earth_rate_n(self) -> Floats:
-        """Return the rotation rate of the Earth."""
-        return np.stack(np.broadcast_arrays(*earth_rate_of(self._sine, self._cosine)), axis=-1)
-
-    def transport_rate_n(self, velocity_n: Floats) -> Floats:
-        """Return the turn rate of north-east-down against the Earth as the vehicle moves on."""
-        north = velocity_n[:, 1] / (transverse_radius_of(self._sin2) + self._height_m)
-        east = -velocity_n[:, 0] / (meridian_radius_of(self._sin2) + self._height_m)
-        return np.stack([north, east, -north * self._sine / self._cosine], axis=-1)
-
-
-def _body_rate(sine: Floats, cosine: Floats, rpy_rate: Floats) -> Floats:
-    """Turn the rates of roll, pitch and heading into the rate of b against n, in b."""
-    (sr, sp, _), (cr, cp, _) = sine.T, cosine.T
-    roll_rate, pitch_rate, heading_rate = rpy_rate.T
-    about_y = cp * heading_rate
-    return np.stack(
-        [roll_rate - sp * heading_rate, cr * pitch_rate + sr * about_y, cr * about_y - sr * pitch_rate],
-        axis=-1,
-    )
+def _position_rate(position: Floats, velocity_n: Floats) -> Floats:
+    """Return the rates of latitude, longitude and height."""
+    sine, cosine = sine_and_cosine(position[:, 0])
+    sin2, height_m = sine * sine, position[:, 2]
+    north_mps, east_mps, down_mps = velocity_n.T
+    latitude_rate = north_mps / (meridian_radius_of(sin2) + height_m)
+    longitude_rate = east_mps / ((transverse_radius_of(sin2) + height_m) * cosine)
+    return np.stack([latitude_rate, longitude_rate, -down_mps], axis=-1)

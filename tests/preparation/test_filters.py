@@ -86,7 +86,7 @@ def test_the_filter_is_given_what_was_resolved(
 def test_noise_of_a_beam_is_turned_with_the_mounting(dive: Dive, tilt_deg: float) -> None:
     """Along the axes of the DVL a beam's variance times 1 / (2 sin^2), twice, and 1 / (4 cos^2) of the tilt."""
     reported = replace(reports_velocities(dive).dvl, beam_vectors_d=beam_vectors(tilt_deg))
-    mounting = DvlMounting.of((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), 1.0)
+    mounting = DvlMounting.from_rpy((0.0, 0.0, 0.0), (90.0, 0.0, 0.0), 1.0)
     (measurement,) = resolved(*configured({BEAM: 0.01}, {})[::-1]).measurements(
         dvl_velocities(reported, mounting), mounting
     )
