@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct, nanoseconds, seconds
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, distinct, nanoseconds, seconds
 from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
@@ -63,19 +63,6 @@ class Level:
         return float(np.arctan2(y, z)), float(np.arctan2(-x, np.hypot(y, z)))
 
 
-@dataclass(frozen=True)
-class _Window:
-    """Readings and their integrals at the nodes, which are the IMU's times, the start and the pings."""
-
-    time_ns: TimeNs
-    time_s: Floats
-    force_b: Floats
-    rate_eb_b: Floats
-    mat: Floats  # b to b at the start
-    force_sum: Floats  # integral of ``mat f`` from the start
-    mat_sum: Floats  # integral of ``mat``
-
-
 def levelling_samples(imu: ImuColumns, start_ns: int) -> ImuColumns:
     """Keep the samples of `LEVELLING_S` after the start, up to the first pause; `FEWEST_SAMPLES` are needed."""
     first = int(np.searchsorted(imu.time_ns, start_ns))
@@ -97,7 +84,7 @@ def find_level(
 ) -> Level:
     """Find gravity in the body axes at the start.
 
-    Levelling as in Groves, chapter 5, with the vehicle's own acceleration taken off.
+    Levelling as in Groves, chapter 5, with the vehicle's own acceleration removed.
 
     Parameters
     ----------
@@ -108,48 +95,78 @@ def find_level(
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
     heading, latitude : float
-        Of the start, rad; they say where the Earth's rotation points.
+        Of the start, rad, for the direction of the Earth's rotation.
     """
     heard = (velocities.time_ns >= start_ns) & (velocities.time_ns <= samples.time_ns[-1])
-    window = _window(samples, velocities.time_ns[heard], start_ns, heading, latitude)
-    unaided = _by_mean_force(window, noise)
-    if np.count_nonzero(heard) < 2:
-        return unaided
-    aided = _by_velocities(window, velocities, heard, noise, lever_arm_b)
-    return min(aided, unaided, key=lambda level: float(np.trace(level.noise_cov_b)))
-
-
-def _window(imu: ImuColumns, ping_ns: TimeNs, start_ns: int, heading: float, latitude: float) -> _Window:
-    """Turn all readings to the body axes at the start, in the frame of the Earth."""
-    time_ns = distinct(np.concatenate([[start_ns], imu.time_ns, ping_ns]))
-    time_s, sample_s = seconds(time_ns, start_ns), seconds(imu.time_ns, start_ns)
+    ping_ns = velocities.time_ns[heard]
+    time_ns = distinct(np.concatenate([[start_ns], samples.time_ns, ping_ns]))
+    time_s, sample_s = seconds(time_ns, start_ns), seconds(samples.time_ns, start_ns)
     force_b, rate_ib_b = (
         np.column_stack([np.interp(time_s, sample_s, column) for column in readings.T])
-        for readings in (imu.specific_force_b, imu.angular_rate_b)
+        for readings in (samples.specific_force_b, samples.angular_rate_b)
     )
     # The Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg.
     x, y, z = force_b.mean(axis=0)
     mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
     rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
     # The rotation from b at each time to b at the first. Products of neighbours are doubled in reach until each
-    # contains all before it.
+    # contains all before it. In inertial space, the Earth turns about an axis that is fixed in b at the start.
     step = 0.5 * (rate_ib_b[1:] + rate_ib_b[:-1]) * np.diff(time_s)[:, None]
     turned = np.concatenate([np.eye(3)[None], mat_from_vector(step)])
     reach = 1
     while reach < len(turned):
         turned[reach:] = turned[:-reach] @ turned[reach:]
         reach *= 2
-    # In inertial space, the Earth turns about an axis that is fixed in b at the start.
     mat = mat_from_vector(-time_s[:, None] * rate_ie_b) @ turned
-    return _Window(
-        time_ns,
-        time_s,
-        force_b,
-        rate_ib_b - np.einsum("kji,j->ki", mat, rate_ie_b),
-        mat,
-        _integral(np.einsum("kij,kj->ki", mat, force_b), time_s),
-        _integral(mat, time_s),
-    )
+    rate_eb_b = rate_ib_b - np.einsum("kji,j->ki", mat, rate_ie_b)
+    turned_force_b = np.einsum("kij,kj->ki", mat, force_b)
+    force_sum, mat_sum = _integral(turned_force_b, time_s), _integral(mat, time_s)
+    # A gyro's bias turns what is carried to the start by mat_sum times it.
+    swung = _integral(skew(turned_force_b) @ mat_sum, time_s)
+
+    def level(
+        rows: NDArray[np.int64],
+        weights: Floats,
+        velocity: Floats,  # at the rows, turned to b at the start
+        per_gyro_bias: Floats,
+        velocity_cov: Floats,
+        velocity_b: Floats,
+        pings: int,
+    ) -> Level:
+        later = np.cumsum(weights[::-1])[::-1]
+        white = noise.accel_white_mps_rts**2 * float(np.sum(later**2 * np.diff(time_s[rows], prepend=0.0)))
+        return Level(
+            weights @ (velocity - force_sum[rows]),
+            velocity_b,
+            -np.einsum("k,kij->ij", weights, mat_sum[rows]),
+            np.einsum("k,kij->ij", weights, swung[rows] + per_gyro_bias),
+            velocity_cov + white * np.eye(3),
+            float(time_s[-1]),
+            pings,
+        )
+
+    # Without a DVL, the velocity counts as equal at the end and at the start.
+    ends, unseen = np.array([0, len(time_s) - 1]), UNSEEN_MPS2**2 * np.eye(3)
+    difference, still, per_gyro_bias = np.array([-1.0, 1.0]) / time_s[-1], np.zeros((2, 3)), np.zeros((2, 3, 3))
+    unaided = level(ends, difference, still, per_gyro_bias, unseen, np.full(3, np.nan), 0)
+    if len(ping_ns) < 2:
+        return unaided
+
+    # With one, a straight line through the pings. Their noise is that of the settings, or their scatter if larger.
+    rows, cov_b = np.searchsorted(time_ns, ping_ns), noise.velocity_cov_b[heard]
+    velocity = np.einsum("kij,kj->ki", mat[rows], velocities.velocity_b[heard] - np.cross(rate_eb_b[rows], lever_arm_b))
+    free, ping_s = velocity - force_sum[rows], time_s[rows] - time_s[rows].mean()
+    weights = ping_s / np.sum(ping_s**2)
+    slope = weights @ free
+    slope_cov = np.einsum("k,kij,kjl,kml->im", weights**2, mat[rows], cov_b, mat[rows])
+    scatter = float(np.sum((free - free.mean(axis=0) - np.outer(ping_s, slope)) ** 2))
+    expected = float(np.trace(cov_b.mean(axis=0))) * (len(rows) - 2)
+    larger = max(1.0, scatter / expected) if expected > 0.0 else 1.0
+    # The first ping errs less than the line's intercept, which contains the whole error of the accelerometers.
+    velocity_b = free[0] - slope * time_s[rows[0]]
+    per_gyro_bias = mat[rows] @ skew(lever_arm_b) - skew(velocity) @ mat_sum[rows]
+    aided = level(rows, weights, velocity, per_gyro_bias, larger * slope_cov, velocity_b, len(rows))
+    return min(aided, unaided, key=lambda found: float(np.trace(found.noise_cov_b)))
 
 
 def _integral(values: Floats, time_s: Floats) -> Floats:
@@ -158,66 +175,6 @@ def _integral(values: Floats, time_s: Floats) -> Floats:
     total = np.zeros_like(values)
     np.cumsum(0.5 * (values[1:] + values[:-1]) * step_s, axis=0, out=total[1:])
     return total
-
-
-def _by_velocities(
-    window: _Window, velocities: DvlVelocities, heard: NDArray[np.bool_], noise: SensorNoise, lever_arm_b: Floats
-) -> Level:
-    """Lay a straight line through the pings, which are as noisy as is told, or as they scatter, if that is more."""
-    rows = np.searchsorted(window.time_ns, velocities.time_ns[heard])
-    velocity_b = velocities.velocity_b[heard] - np.cross(window.rate_eb_b[rows], lever_arm_b)
-    turned = np.einsum("kij,kj->ki", window.mat[rows], velocity_b)
-    free = turned - window.force_sum[rows]
-    time_s = window.time_s[rows] - window.time_s[rows].mean()
-    weights = time_s / np.sum(time_s**2)
-    slope = weights @ free
-    mat, cov_b = window.mat[rows], noise.velocity_cov_b[heard]
-    told = np.einsum("k,kij,kjl,kml->im", weights**2, mat, cov_b, mat)
-    scatter = np.sum((free - free.mean(axis=0) - np.outer(time_s, slope)) ** 2)
-    expected = float(np.trace(cov_b.mean(axis=0))) * (len(rows) - 2)
-    larger = max(1.0, float(scatter) / expected) if expected > 0.0 else 1.0
-    # The nearest ping errs by less than the line's intercept, which holds all that the accelerometers err by.
-    velocity_at_start_b = free[0] - slope * window.time_s[rows[0]]
-    per_gyro_bias = mat @ skew(lever_arm_b) - skew(turned) @ window.mat_sum[rows]
-    return _level(window, rows, weights, turned, per_gyro_bias, noise, larger * told, velocity_at_start_b, len(rows))
-
-
-def _by_mean_force(window: _Window, noise: SensorNoise) -> Level:
-    """Take the velocity for the same at the end as at the start."""
-    rows, time_s = np.array([0, len(window.time_s) - 1]), window.time_s
-    weights = np.array([-1.0, 1.0]) / time_s[-1]
-    unseen = UNSEEN_MPS2**2 * np.eye(3)
-    still, still_per_gyro_bias = np.zeros((2, 3)), np.zeros((2, 3, 3))
-    return _level(window, rows, weights, still, still_per_gyro_bias, noise, unseen, np.full(3, np.nan), 0)
-
-
-def _level(
-    window: _Window,
-    rows: NDArray[np.int64],
-    weights: Floats,
-    turned: Floats,
-    turned_per_gyro_bias: Floats,
-    noise: SensorNoise,
-    velocity_cov: Floats,
-    velocity_b: Floats,
-    pings: int,
-) -> Level:
-    """Weigh what is known at some rows to gravity, its sensitivities and its noise."""
-    time_s = window.time_s
-    # A gyro's bias turns what is carried to the start by mat_sum times it.
-    swung = skew(np.einsum("kij,kj->ki", window.mat, window.force_b)) @ window.mat_sum
-    per_gyro_bias = _integral(swung, time_s)[rows] + turned_per_gyro_bias
-    later = np.cumsum(weights[::-1])[::-1]
-    white = noise.accel_white_mps_rts**2 * float(np.sum(later**2 * np.diff(time_s[rows], prepend=0.0)))
-    return Level(
-        weights @ (turned - window.force_sum[rows]),
-        velocity_b,
-        -np.einsum("k,kij->ij", weights, window.mat_sum[rows]),
-        np.einsum("k,kij->ij", weights, per_gyro_bias),
-        velocity_cov + white * np.eye(3),
-        float(time_s[-1]),
-        pings,
-    )
 
 
 @dataclass(frozen=True)

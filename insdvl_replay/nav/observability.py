@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import compiled, inlined
-from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.nav.algebra import (
     Vector,
     add,
@@ -94,48 +93,36 @@ def nominal_pings(
         np.empty(pings),
         *np.empty((3, pings, TWELVE, TWELVE)),
     )
-    states = _States(
-        nominal.position,
-        nominal.velocity_n,
-        np.ascontiguousarray(nominal.mat_nb),
-        nominal.accel_bias_b,
-        nominal.gyro_bias_b,
-    )
+    mat_nb = np.ascontiguousarray(nominal.mat_nb)
+    states = (nominal.position, nominal.velocity_n, mat_nb, nominal.accel_bias_b, nominal.gyro_bias_b)
     _walk_motion(timeline, states, tuple(noise_density.tolist()), earth_rate, found)
     return found
 
 
-class _States(NamedTuple):
-    """Columns of navigation states."""
-
-    position: Floats
-    velocity_n: Floats
-    mat_nb: Floats
-    accel_bias_b: Floats
-    gyro_bias_b: Floats
+States = tuple[Floats, Floats, Floats, Floats, Floats]
+"""Columns of navigation states, in the order of `strapdown.NavState`."""
 
 
 @inlined
-def _row_state(states: _States, row: int) -> NavState:
+def _state_at(states: States, row: int) -> NavState:
     return NavState(
-        row_vector(states.position, row),
-        row_vector(states.velocity_n, row),
-        row_matrix(states.mat_nb, row),
-        row_vector(states.accel_bias_b, row),
-        row_vector(states.gyro_bias_b, row),
+        row_vector(states[0], row),
+        row_vector(states[1], row),
+        row_matrix(states[2], row),
+        row_vector(states[3], row),
+        row_vector(states[4], row),
     )
 
 
 @compiled
 def _walk_motion(
-    timeline: Timeline, nominal: _States, noise_density: tuple[float, ...], earth_rate: bool, found: NominalPings
+    timeline: Timeline, nominal: States, noise_density: tuple[float, ...], earth_rate: bool, found: NominalPings
 ) -> None:
     """Mechanise from one recorded event to the next, and let errors grow and noise gather from ping to ping."""
     transition, step, noise = np.eye(TWELVE), np.eye(TWELVE), np.zeros((TWELVE, TWELVE))
     step_by_row, noise_by_row = step.ravel(), noise.ravel()
-    state = _row_state(nominal, timeline.record[0])
-    earth = NOWHERE
-    before = first_node(timeline)
+    state = _state_at(nominal, timeline.record[0])
+    earth, before = NOWHERE, first_node(timeline)
     while not is_last(timeline, before):
         now = next_node(timeline, before)
         dt = now.time_s - before.time_s
@@ -160,7 +147,7 @@ def _walk_motion(
 
         ping, row = timeline.rows[PINGS, now.event], timeline.record[now.event]
         if row >= 0:
-            state = _row_state(nominal, row)
+            state = _state_at(nominal, row)
         if ping >= 0:
             write_row_vector(state.velocity_n, found.velocity_n, ping)
             write_row_matrix(state.mat_nb, found.mat_nb, ping)
@@ -359,9 +346,6 @@ def _walk_cov(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available
 # the velocity error that turns the way as a whole. On the turning Earth each also needs the gyro bias that cancels the
 # Earth's rate.
 
-_AXES: Final = ("north", "east", "down")
-_ACROSS: Final = {"north": "east", "east": "north"}
-
 
 @dataclass(frozen=True)
 class ErrorDirection:
@@ -399,42 +383,42 @@ def named_directions(
     tuple of ErrorDirection
         In an order in which each is simpler than those after it.
     """
-    still = np.zeros(3)
-    rate_ie_n, rate_en_n = _rates_n(position, velocity_n) if earth_rate else (still, still)
-    rate_in_n = rate_ie_n + rate_en_n
-    gravity_n = np.array([0.0, 0.0, normal_gravity(position[0], position[2])])
+    zero, axes, earth = np.zeros(3), ("north", "east", "down"), local_earth_at(float(position[0]), float(position[2]))
+
+    def rate_en_n(moving_n: Floats) -> Floats:
+        curvature = transport_curvature(earth, float(position[2]))
+        return np.array(transport_rate_n(curvature, vector(moving_n))) if earth_rate else zero
+
+    rate_ie_n = np.array(earth.rate_ie_n) if earth_rate else zero
+    rate_in_n = rate_ie_n + rate_en_n(velocity_n)
     coriolis_n = rate_ie_n + rate_in_n
-    force_n = np.cross(coriolis_n, velocity_n) - gravity_n
-    axes_n = np.eye(3)
-    velocities = [
-        ErrorDirection(f"dv_{axis[0]}", f"velocity error {axis}", _error(dv=axis_n))
-        for axis, axis_n in zip(_AXES, axes_n, strict=True)
-    ]
-    tilts = []
-    for axis, phi in zip(_AXES, axes_n, strict=True):
-        dv = -np.cross(velocity_n, phi)
-        ba = mat_nb.T @ (np.cross(force_n, phi) + np.cross(coriolis_n, dv))
-        transport_error_n = _rates_n(position, dv)[1] if earth_rate else still
-        bg = mat_nb.T @ (np.cross(rate_in_n, phi) + transport_error_n)
-        tilts.append(
-            ErrorDirection(f"phi_{axis[0]} held", _tilt_label(axis, earth_rate), _error(dv=dv, phi=phi, ba=ba, bg=bg))
-        )
-    down_b = mat_nb.T @ axes_n[2]
-    across_b = -mat_nb.T @ np.cross(velocity_n, axes_n[2])
-    gyro = ErrorDirection("bg_d", "gyro bias about down", _error(bg=down_b))
-    # A heading that drifts by the one bends the way as steadily as the other does.
-    centripetal = "gyro bias about down with accelerometer bias across"
-    bent = ErrorDirection("bg_d held", centripetal, _error(ba=across_b, bg=down_b))
+    force_n = np.cross(coriolis_n, velocity_n) - np.array([0.0, 0.0, normal_gravity(position[0], position[2])])
+    velocities, tilts = [], []
+    for axis, across, unit in zip(axes, ("east", "north", ""), np.eye(3), strict=True):
+        error = np.concatenate([unit, zero, zero, zero])
+        velocities.append(ErrorDirection(f"dv_{axis[0]}", f"velocity error {axis}", error))
+        label = f"misalignment about {axis} with accelerometer bias {across}"
+        label = (label if across else "heading with velocity error across") + " and gyro bias" * earth_rate
+        dv = -np.cross(velocity_n, unit)
+        ba = mat_nb.T @ (np.cross(force_n, unit) + np.cross(coriolis_n, dv))
+        bg = mat_nb.T @ (np.cross(rate_in_n, unit) + rate_en_n(dv))
+        tilts.append(ErrorDirection(f"phi_{axis[0]} held", label, np.concatenate([dv, unit, ba, bg])))
+    down_n = np.array([0.0, 0.0, 1.0])
+    down_b, across_b = mat_nb.T @ down_n, -mat_nb.T @ np.cross(velocity_n, down_n)
+    gyro = ErrorDirection("bg_d", "gyro bias about down", np.concatenate([zero, zero, zero, down_b]))
+    # A heading that drifts by the gyro bias bends the way as steadily as the accelerometer bias does.
+    bent_error = np.concatenate([zero, zero, across_b, down_b])
+    bent = ErrorDirection("bg_d held", "gyro bias about down with accelerometer bias across", bent_error)
     return (*velocities, *tilts, gyro, bent)
 
 
 def name_unobservable(
     observability: Observability, directions: tuple[ErrorDirection, ...], prior_sd: Floats
 ) -> tuple[ErrorDirection, ...]:
-    """Find the named directions that make up what is not observable.
+    """Return the named directions that span the unobservable space.
 
-    The least seen come first. A direction is taken if more than half of it lies in what is unobservable and not yet
-    named.
+    The least observable come first. A direction is taken if more than half of it is in the unobservable space that has
+    no name yet.
 
     Parameters
     ----------
@@ -453,30 +437,7 @@ def name_unobservable(
         part = unnamed.T @ (unnamed @ direction.scaled(prior_sd))
         if part @ part > 0.5:
             found.add(direction.id)
-            # What remains is at right angles to the part just named.
+            # The rest is at right angles to the part that was named.
             _, _, basis = np.linalg.svd(unnamed @ (np.eye(TWELVE) - np.outer(part, part) / (part @ part)))
             unnamed = basis[: len(unnamed) - 1]
     return tuple(direction for direction in directions if direction.id in found)
-
-
-def _tilt_label(axis: str, earth_rate: bool) -> str:
-    label = "heading with velocity error across"
-    if axis in _ACROSS:
-        label = f"misalignment about {axis} with accelerometer bias {_ACROSS[axis]}"
-    return f"{label} and gyro bias" if earth_rate else label
-
-
-def _error(**parts: Floats) -> Floats:
-    places = {"dv": DV, "phi": PHI, "ba": BA, "bg": BG}
-    error = np.zeros(TWELVE)
-    for name, part in parts.items():
-        error[places[name]] = part
-    return error
-
-
-def _rates_n(position: Floats, velocity_n: Floats) -> tuple[Floats, Floats]:
-    """Return the rates of the Earth, and of n against the Earth at a velocity."""
-    latitude, height_m = float(position[0]), float(position[2])
-    earth = local_earth_at(latitude, height_m)
-    rate_en_n = transport_rate_n(transport_curvature(earth, height_m), vector(velocity_n))
-    return np.array(earth.rate_ie_n), np.array(rate_en_n)
