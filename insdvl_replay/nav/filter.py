@@ -25,7 +25,7 @@ from insdvl_replay.nav.algebra import (
     write_row_matrix,
     write_row_vector,
 )
-from insdvl_replay.nav.earth_model import NOWHERE, GravityHeight, LocalEarth, followed, gravity_at, local_earth_near
+from insdvl_replay.nav.earth_model import NOWHERE, GravityHeight, followed, gravity_at, local_earth_near
 from insdvl_replay.nav.error_model import (
     TWELVE,
     TWELVE_ALONE,
@@ -53,8 +53,8 @@ from insdvl_replay.nav.kalman import (
 )
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import BEAM, DEPTH, InsAtPing, Measurement, Stack, linearise, stacked
-from insdvl_replay.nav.strapdown import Motion, NavState, propagate
-from insdvl_replay.nav.timeline import PINGS, Node, Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.strapdown import NavState, propagate
+from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.user_measurement import Predicts
 
 BEAMS_TO_AXES: Final = 4.0
@@ -210,7 +210,8 @@ def run_filter(
     memory = Memory(*np.zeros((3, int(timeline.ping.max()) + 1, 3)))
     user = min((made.predict for made in measurements if made.predict is not None), key=is_compiled, default=None)
     run, arm_b = _run if user is None or is_compiled(user) else plain(_run), vector(lever_arm_b)
-    run(timeline, state, matrices, density, layout, heading_bias_rate_hz, stack, user, arm_b, memory, records, updates)
+    rate_hz = heading_bias_rate_hz if n > TWELVE else None
+    run(timeline, state, matrices, density, layout, rate_hz, stack, user, arm_b, memory, records, updates)
 
     innovations = []
     for m, measurement in enumerate(measurements):
@@ -256,14 +257,15 @@ def run_filter(
     )
 
 
+# One function: parts of it would each be optimised by themselves, and once more in it, which takes a third longer.
 @compiled
-def _run(
+def _run(  # noqa: C901
     timeline: Timeline,
     state: NavState,
     matrices: Matrices,
     noise_density: tuple[float, ...],
     layout: StateLayout,
-    heading_bias_rate_hz: float,
+    heading_bias_rate_hz: float | None,  # None for twelve states, so that nothing is compiled for more
     measurements: Stack,
     user: Predicts | None,
     lever_arm_b: Vector,
@@ -274,7 +276,7 @@ def _run(
     """Walk the time line. This is the whole filter."""
     # The compiler knows the length of the tuple, and leaves out what twelve states do not need.
     layout = layout if len(noise_density) > TWELVE else TWELVE_ALONE
-    P, P_by_row, constants = matrices.P, matrices.P_by_row, matrices.constants
+    P, P_by_row, dx, constants = matrices.P, matrices.P_by_row, matrices.dx, matrices.constants
     now, earth, velocity_after_b, corrected = first_node(timeline), NOWHERE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     gravity = GravityHeight(state.position[2], 0.0, now.time_s)
     while True:
@@ -293,12 +295,14 @@ def _run(
         gravity = followed(gravity, state.position[2], before.time_s)
         gravity_here = gravity_at(earth, gravity.height_m)
         state, motion = propagate(state, force_b, rate_b, dt, earth, gravity_here)
-        if layout.position >= 0:
-            propagate_position_cov(P_by_row, noise_density, layout.position, position_growth(state, motion, earth, dt))
-        if layout.heading_bias >= 0:
-            kept = math.exp(-heading_bias_rate_hz * dt)
-            fade(P, layout.heading_bias, kept)
-            constants[layout.heading_bias - layout.constants] *= kept
+        if heading_bias_rate_hz is not None:
+            if layout.position >= 0:
+                growth = position_growth(state, motion, earth, dt)
+                propagate_position_cov(P_by_row, noise_density, layout.position, growth)
+            if layout.heading_bias >= 0:
+                kept = math.exp(-heading_bias_rate_hz * dt)
+                fade(P, layout.heading_bias, kept)
+                constants[layout.heading_bias - layout.constants] *= kept
         propagate_cov(P_by_row, motion, noise_density, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
@@ -316,10 +320,98 @@ def _run(
             write_row_vector(rate_eb_b, memory.rate_eb_b, ping)
             write_row_vector(subtract(predicted_b, velocity_after_b), memory.velocity_change_b, ping)
 
-        state, gravity = apply_measurements(
-            timeline, now, state, motion, earth, gravity, gravity_here, lever_arm_b, layout, measurements, user,
-            memory, matrices, updates,
-        )  # fmt: skip
+        # Apply the measurements in their order. Those of one reading, such as beams, add to dx and correct the state
+        # together. If all beams of too many pings in a row were rejected, the velocity is opened and the beams of the
+        # last ping are applied again. They keep the innovations that they had before, and do not count for the noise.
+        time_s, estimated, is_again, rejected_square, first, m = now.time_s, False, False, 0.0, 0, 0
+        while m < len(measurements.kind):
+            row = timeline.rows[measurements.sensor[m], now.event]
+            if row >= 0 and measurements.available[m, row]:
+                # The innovation, less what the errors estimated before explain of it.
+                size, gate, noise = measurements.size[m], measurements.gate[m], measurements.noise[m]
+                H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
+                R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
+                z, standardised = matrices.z[:size], matrices.standardised[:size]
+                rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
+                ins = InsAtPing(
+                    state.position,
+                    state.velocity_n,
+                    state.mat_nb,
+                    subtract(now.specific_force_b, state.accel_bias_b),
+                    timeline.rows[PINGS, now.event],
+                    memory.rate_nb_b,
+                    memory.rate_eb_b,
+                    memory.velocity_change_b,
+                    gravity_here,
+                    lever_arm_b,
+                    earth,
+                    subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n)),
+                    constants,
+                )
+                linearise(measurements, m, row, ins, layout, user, z, matrices.H[: max(size, 3)])
+                if estimated:
+                    for i in range(size):
+                        for j in range(len(dx)):
+                            z[i] -= H[i, j] * dx[j]
+                _write_scaled(updates.noise_factor[m], measurements.cov[m, row], R)
+
+                # The gate, again with the noise that the innovation itself shows, and with an opened velocity.
+                is_followed, scaled, used, reopened = noise == ADAPTIVE and not is_again, False, False, False
+                while True:
+                    innovation_cov(P, H, R, HP, S)
+                    cholesky(S, L)
+                    nis = normalised_square(L, z, standardised)
+                    if reopened:
+                        break
+                    used = nis <= gate
+                    if used and not scaled and (is_followed or noise == STUDENT_T):
+                        factor = _follow_noise(m, 1.0, z, S, R, updates) if is_followed else outlier_factor(nis, size)
+                        _write_scaled(factor, R, R)
+                        scaled = True
+                        continue
+                    alone = measurements.kind[m] != BEAM
+                    reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
+                    used = used or reopened
+                    updates.used[m, row], updates.reopened[m, row] = used, reopened or (is_again and used)
+                    if not is_again:
+                        _record_innovation(updates, m, row, z, S, L, nis)
+                    if not reopened:
+                        break
+                    open_state(P, _square(z), matrices.start_var, layout.position, updates, m, time_s)
+
+                # The gain and the covariance; of a rejected innovation the part that would just have passed.
+                if used:
+                    updates.rejected_in_a_row[m], updates.used_s[m] = 0, time_s
+                    transposed_gain(HP, L, KT)
+                    _estimate(dx, KT, z, estimated)
+                    update_cov(P, H, R, HP, KT, rest)
+                    estimated = True
+                else:
+                    if is_followed and 0.0 < gate < nis and math.isfinite(nis):
+                        _follow_noise(m, gate / nis, z, S, R, updates)
+                    rejected_square += _square(z)
+            last, m = m, m + 1
+            if measurements.goes_on[last]:
+                continue
+
+            # All of the reading is applied.
+            if rejected_square > 0.0 and not estimated and not is_again and measurements.kind[last] == BEAM:
+                is_again = locks_out(updates, last, rejected_square, time_s, measurements.reopen_after[last])
+                if is_again:
+                    square = BEAMS_TO_AXES * rejected_square
+                    open_state(P, square, matrices.start_var, layout.position, updates, last, time_s)
+                    m, rejected_square = first, 0.0
+                    continue
+            if estimated:
+                updates.rejected_in_a_row[last], updates.used_s[last] = 0, time_s
+                state = correct(state, constants, P, dx, layout, earth)
+                # Gravity follows the INS's height while a velocity holds it; a depth leaves no drift.
+                if measurements.kind[last] == DEPTH:
+                    gravity = GravityHeight(state.position[2], 0.0, time_s)
+                elif measurements.holds_height[last]:
+                    gravity = GravityHeight(gravity.height_m, gravity.drift_m, time_s)
+            estimated, is_again, rejected_square, first = False, False, 0.0, m
+
         corrected = add(corrected, subtract(state.position, predicted))
         # Between pings, the correction by another sensor is not the mechanisation's.
         change_b = subtract(_velocity_b(state), predicted_b)
@@ -350,122 +442,6 @@ def _record(state: NavState, corrected: Vector, constants: Floats, P: Floats, re
         for i in range(P.shape[0]):
             for j in range(P.shape[0]):
                 records.cov[cov_row, i, j] = P[i, j]
-
-
-@inlined
-def apply_measurements(
-    timeline: Timeline,
-    now: Node,
-    state: NavState,
-    motion: Motion,
-    earth: LocalEarth,
-    gravity: GravityHeight,
-    gravity_here: float,
-    lever_arm_b: Vector,
-    layout: StateLayout,
-    measurements: Stack,
-    user: Predicts | None,
-    memory: Memory,
-    matrices: Matrices,
-    updates: Updates,
-) -> tuple[NavState, GravityHeight]:
-    """Update by the readings of an event, in the order of the measurements, and correct the state.
-
-    Each innovation is tested by its gate. If it passes, it changes P and the estimated errors ``dx``. Measurements of
-    one reading, such as beams, add to ``dx`` and correct the state together. If all beams of too many pings in a row
-    were rejected, the velocity is opened, and the beams of the last ping are applied again. They keep the innovations
-    that they had before, and do not count for the noise.
-    """
-    P, dx, constants, time_s = matrices.P, matrices.dx, matrices.constants, now.time_s
-    estimated, is_again, rejected_square, first, m = False, False, 0.0, 0, 0
-    while m < len(measurements.kind):
-        row = timeline.rows[measurements.sensor[m], now.event]
-        if row >= 0 and measurements.available[m, row]:
-            # The innovation, less what the errors estimated before explain of it.
-            size, gate, noise = measurements.size[m], measurements.gate[m], measurements.noise[m]
-            H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
-            R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
-            z, standardised = matrices.z[:size], matrices.standardised[:size]
-            rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
-            ins = InsAtPing(
-                state.position,
-                state.velocity_n,
-                state.mat_nb,
-                subtract(now.specific_force_b, state.accel_bias_b),
-                timeline.rows[PINGS, now.event],
-                memory.rate_nb_b,
-                memory.rate_eb_b,
-                memory.velocity_change_b,
-                gravity_here,
-                lever_arm_b,
-                earth,
-                subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n)),
-                constants,
-            )
-            linearise(measurements, m, row, ins, layout, user, z, matrices.H[: max(size, 3)])
-            if estimated:
-                for i in range(size):
-                    for j in range(len(dx)):
-                        z[i] -= H[i, j] * dx[j]
-            _write_scaled(updates.noise_factor[m], measurements.cov[m, row], R)
-
-            # The gate, again with the noise that the innovation itself shows, and with an opened velocity.
-            is_followed, scaled, used, reopened = noise == ADAPTIVE and not is_again, False, False, False
-            while True:
-                innovation_cov(P, H, R, HP, S)
-                cholesky(S, L)
-                nis = normalised_square(L, z, standardised)
-                if reopened:
-                    break
-                used = nis <= gate
-                if used and not scaled and (is_followed or noise == STUDENT_T):
-                    factor = _follow_noise(m, 1.0, z, S, R, updates) if is_followed else outlier_factor(nis, size)
-                    _write_scaled(factor, R, R)
-                    scaled = True
-                    continue
-                alone = measurements.kind[m] != BEAM
-                reopened = not used and alone and locks_out(updates, m, nis, time_s, measurements.reopen_after[m])
-                used = used or reopened
-                updates.used[m, row], updates.reopened[m, row] = used, reopened or (is_again and used)
-                if not is_again:
-                    _record_innovation(updates, m, row, z, S, L, nis)
-                if not reopened:
-                    break
-                open_state(P, _square(z), matrices.start_var, layout.position, updates, m, time_s)
-
-            # The gain and the covariance; of a rejected innovation the part that would just have passed.
-            if used:
-                updates.rejected_in_a_row[m], updates.used_s[m] = 0, time_s
-                transposed_gain(HP, L, KT)
-                _estimate(dx, KT, z, estimated)
-                update_cov(P, H, R, HP, KT, rest)
-                estimated = True
-            else:
-                if is_followed and 0.0 < gate < nis and math.isfinite(nis):
-                    _follow_noise(m, gate / nis, z, S, R, updates)
-                rejected_square += _square(z)
-        last, m = m, m + 1
-        if measurements.goes_on[last]:
-            continue
-
-        # All of the reading is applied.
-        if rejected_square > 0.0 and not estimated and not is_again and measurements.kind[last] == BEAM:
-            is_again = locks_out(updates, last, rejected_square, time_s, measurements.reopen_after[last])
-            if is_again:
-                square = BEAMS_TO_AXES * rejected_square
-                open_state(P, square, matrices.start_var, layout.position, updates, last, time_s)
-                m, rejected_square = first, 0.0
-                continue
-        if estimated:
-            updates.rejected_in_a_row[last], updates.used_s[last] = 0, time_s
-            state = correct(state, constants, P, dx, layout, earth)
-            # Gravity follows the INS's height while a velocity holds it; a depth leaves no drift.
-            if measurements.kind[last] == DEPTH:
-                gravity = GravityHeight(state.position[2], 0.0, time_s)
-            elif measurements.holds_height[last]:
-                gravity = GravityHeight(gravity.height_m, gravity.drift_m, time_s)
-        estimated, is_again, rejected_square, first = False, False, 0.0, m
-    return state, gravity
 
 
 @inlined
