@@ -26,7 +26,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.runtime import prepare_process
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.container.recording import open_recording
+from insdvl_replay.logs.formats.recording import open_recording
 
 PER_IMU = 1.01
 """Messages for each one of the IMU."""

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.logs import write_dive
-from insdvl_replay.logs.container.recording import Recording
+from insdvl_replay.logs.formats.recording import Recording
 
 START_NS = 1_700_000_000_000_000_000
 IMU_MESSAGES, DVL_MESSAGES = 500, 25

@@ -6,14 +6,11 @@ import struct
 import numpy as np
 import pytest
 from blocks import block_of
-from hypothesis import given
-from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding import number_loops
-from insdvl_replay.logs.encoding.binary_fields import BinaryReader, read_bits_plainly
-from insdvl_replay.logs.encoding.ros2msg import parse_definitions
+from insdvl_replay.logs.formats.layout import BinaryReader
+from insdvl_replay.logs.formats.types import parse_definitions
 
 TYPE = "test_msgs/msg/Ping"
 MAIN = "string label\nuint8 mode\ntest_msgs/Beam[] beams\nint64 stamp\nfloat32[3] fixed\nfloat64[] free\nbool good\n"
@@ -136,30 +133,6 @@ def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_stand() -> No
     for path, values in zip(paths, expected, strict=True):
         assert columns[path].tolist() == [values] * 3
         assert columns[path].dtype == (np.float64 if path.startswith("float") else np.int64)
-
-
-@given(
-    st.binary(min_size=8, max_size=60),
-    st.lists(st.integers(0, 52), max_size=5),
-    st.lists(st.tuples(st.sampled_from("bBhHiIqQ"), st.integers(0, 52)), max_size=5),
-)
-def test_numbers_are_read_plainly_as_by_the_compiled_loop(
-    data: bytes, starts: list[int], numbers: list[tuple[str, int]]
-) -> None:
-    """Starts and places are brought inside the data, as the readers promise."""
-    starts = [start % (len(data) - 7) for start in starts]
-    room = len(data) - 7 - max(starts, default=0)
-    formats, offsets = [f"<{letter}" for letter, _ in numbers], [place % room for _, place in numbers]
-    expected = [
-        [struct.unpack_from(one, data, start + offset)[0] % 2**64 for one, offset in zip(formats, offsets, strict=True)]
-        for start in starts
-    ]
-    signed = [one.islower() for one in formats]
-    places = np.array([offsets, [struct.calcsize(one) for one in formats], signed], np.int64)
-    for read in (read_bits_plainly, number_loops.read_bits):
-        bits = read(np.frombuffer(data, np.uint8), np.array(starts, np.int64), places)
-        assert bits.shape == (len(numbers), len(starts))
-        assert bits.view(np.uint64).T.tolist() == expected
 
 
 def test_a_bool_of_another_byte_is_one_and_an_empty_sequence_of_floats_is_none() -> None:

@@ -13,7 +13,7 @@ from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.survey import inspect_log, inventory_csv, inventory_tables
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.encoding.ros2msg import definition_text
+from insdvl_replay.logs.formats.types import definition_text, definitions_of
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 BARE = definition_text(IMU_TYPE).split("=" * 80)[0]
@@ -63,10 +63,8 @@ def test_types_that_a_schema_lacks_are_those_of_the_program(tmp_path: Path) -> N
 
 
 def test_type_that_nobody_defines_is_still_refused(tmp_path: Path) -> None:
-    from insdvl_replay.logs.encoding.binary_fields import definitions_by
-
     with pytest.raises(LogError, match="uses pkg/msg/Unknown in pkg/msg/A and does not define it"):
-        definitions_by("pkg/msg/A", "std_msgs/Header header\nUnknown thing", "cdr")
+        definitions_of("pkg/msg/A", "std_msgs/Header header\nUnknown thing", "cdr")
 
 
 def test_thousands_of_topics_are_folded_for_people_and_whole_for_scripts(tmp_path: Path) -> None:

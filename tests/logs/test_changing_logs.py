@@ -1,8 +1,6 @@
 """A log that somebody changes while it is read is refused: what was read is of no file that ever was."""
 
 import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -105,40 +103,6 @@ def test_a_log_that_changes_while_it_is_inspected_is_refused(log: Path, monkeypa
     monkeypatch.setattr(survey, "find_roles", changing(cut, log, survey.find_roles))
     with pytest.raises(LogError, match="while it was read"):
         inspect_log(log, Config())
-
-
-CUT = """
-import os
-import sys
-from pathlib import Path
-
-from insdvl_replay.logs.container.mapped_file import MappedFile
-
-path = Path(sys.argv[1])
-path.write_bytes(b"1" * 40_000)
-file = MappedFile(path)
-os.truncate(path, 20_000)
-assert bytes(file.data) == b"1" * 20_000 + bytes(20_000)
-os.truncate(path, 0)
-assert bytes(file.data[20_000:]) == bytes(20_000)
-file.require_unchanged()
-"""
-
-
-def test_what_is_cut_off_a_mapped_file_reads_as_zeros(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", CUT, str(tmp_path / "log")], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert done.returncode == 1, done
-    assert "was cut from 40000 to 0 bytes while it was read" in done.stderr
-
-
-def test_a_fault_that_no_cut_explains_ends_the_process() -> None:
-    script = "import signal, sys\nfrom pathlib import Path\n"
-    script += "from insdvl_replay.logs.container.mapped_file import MappedFile\n"
-    script += "file = MappedFile(Path(sys.executable))\nfor _ in range(2):\n    signal.raise_signal(signal.SIGBUS)\n"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60, check=False)
-    assert done.returncode == -7
 
 
 def test_a_pipe_that_nobody_writes_to_is_not_waited_for(tmp_path: Path) -> None:

@@ -4,11 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
-from insdvl_replay.logs.container.blocks import message_field
-from insdvl_replay.logs.container.mcap_file import McapFile
-from insdvl_replay.logs.container.recording import Recording, open_recording
+from insdvl_replay.logs.formats.log_file import gather
+from insdvl_replay.logs.formats.mcap_file import McapFile
+from insdvl_replay.logs.formats.recording import Recording, open_recording
 
 SUITE = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "mcap_conformance"
 FILES = 416
@@ -60,7 +61,7 @@ def assert_messages(log: Recording, expected: dict[str, list[dict[str, Any]]]) -
     messages = expected.get("Message", [])
     found = []
     for block in log.blocks({channel.id for channel in log.channels}):
-        sequence = message_field(block.buffer, block.starts, "sequence")
+        sequence = gather(block.buffer, block.offsets - 20, np.dtype("<u4"))
         columns = block.offsets, block.sizes, sequence, block.log_time, block.publish_time
         found += [
             (block.channel_id, *values, bytes(block.buffer[offset : offset + size]))
@@ -78,5 +79,6 @@ def assert_files(log: McapFile, expected: dict[str, list[dict[str, Any]]]) -> No
         for a in expected.get("Attachment", [])
     ]
     assert [
-        (a.name, a.media_type, a.log_time_ns, a.create_time_ns, bytes(a.data)) for a in log.attachments
+        (a.name, a.media_type, a.log_time, a.create_time, bytes(log.file.read(a.offset, a.offset + a.length)))
+        for a in log.attachments
     ] == attachments

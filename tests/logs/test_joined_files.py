@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from recorded_parts import write_part
 
-from insdvl_replay.logs.container.recording import CHANNELS_OF_A_PART, Recording
+from insdvl_replay.logs.formats.recording import CHANNELS_OF_A_PART, Recording
 
 
 @pytest.fixture

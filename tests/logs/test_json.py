@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.encoding.json_fields import JsonReader
+from insdvl_replay.logs.formats.decoded import JsonReader
 
 START_NS = 1_700_000_000_000_000_000
 VECTOR = {"type": "object", "properties": {axis: {"type": "number"} for axis in "xyz"}}

@@ -9,8 +9,7 @@ import pytest
 from blocks import block_of
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.json5_text import as_json, without_nan
-from insdvl_replay.logs.encoding.json_fields import JsonReader
+from insdvl_replay.logs.formats.decoded import JsonReader, as_json, without_nan
 
 EXAMPLE = r"""{
   // comments

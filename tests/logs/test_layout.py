@@ -12,8 +12,8 @@ from mcap_ros2.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.layout import dynamic_lengths, layout_for_texts, layout_of
-from insdvl_replay.logs.encoding.ros2msg import parse_definitions
+from insdvl_replay.logs.formats.layout import layout_for_texts, message_layout
+from insdvl_replay.logs.formats.types import parse_definitions
 
 TYPE = "pkg/msg/Everything"
 TEXT = """\
@@ -95,10 +95,9 @@ def flat(path: str, value: Any) -> dict[str, Any]:
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_layout_finds_and_fills_every_field_as_mcap_ros2_support(message: dict[str, Any]) -> None:
     data = encoded(TEXT, message)
-    lengths = dynamic_lengths(DEFINITIONS, TYPE, data)
-    layout = layout_of(DEFINITIONS, TYPE, lengths)
+    layout = message_layout(DEFINITIONS, TYPE, data)
+    lengths = layout.lengths
     assert layout.size == layout.dtype.itemsize == len(data)
-    assert layout.lengths == lengths
     assert [int.from_bytes(data[start : start + 4], "little") for start in layout.length_offsets] == list(lengths)
     [row] = np.frombuffer(data, layout.dtype)
     values = flat("", message) | {"empty.structure_needs_at_least_one_member": 0}
@@ -117,7 +116,7 @@ def test_an_empty_sequence_is_not_aligned_as_rosbags_writes_it() -> None:
     for values in ([], [1.5, -2.0]):
         message = store.types[TYPE](values=np.array(values), between=9, word="abc", number=0.25)
         data = bytes(store.serialize_cdr(message, TYPE))
-        layout = layout_of(definitions, TYPE, dynamic_lengths(definitions, TYPE, data))
+        layout = message_layout(definitions, TYPE, data)
         [row] = np.frombuffer(data, layout.dtype, count=1)
         assert (row["between"], row["word"], row["number"], row["values"].tolist()) == (9, b"abc", 0.25, values)
 
@@ -133,22 +132,16 @@ def test_cut_messages_are_refused() -> None:
     data = encoded(TEXT, message)
     for length in range(len(data)):
         with pytest.raises(LogError, match=r"shorter than its schema|starts with bytes"):
-            dynamic_lengths(DEFINITIONS, TYPE, data[:length])
+            message_layout(DEFINITIONS, TYPE, data[:length])
 
 
 def test_other_encodings_are_refused() -> None:
     for header in (b"\x00\x00", b"\x01\x00"):
         with pytest.raises(LogError, match=header.hex(" ")):
-            dynamic_lengths(DEFINITIONS, TYPE, header + encoded(TEXT, {})[2:])
+            message_layout(DEFINITIONS, TYPE, header + encoded(TEXT, {})[2:])
 
 
 def test_wide_strings_are_refused() -> None:
     definitions = parse_definitions(TYPE, "wstring w")
     with pytest.raises(LogError, match="wstring"):
-        layout_of(definitions, TYPE, ())
-
-
-def test_lengths_must_be_as_many_as_strings() -> None:
-    for lengths, wrong in (((), "more"), ((1, 1), "fewer")):
-        with pytest.raises(ValueError, match=f"{wrong} strings and sequences"):
-            layout_of(parse_definitions(TYPE, "string s"), TYPE, lengths)
+        layout_for_texts(definitions, TYPE, {})

@@ -10,7 +10,7 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding.protobuf_fields import ProtobufReader
+from insdvl_replay.logs.formats.decoded import protobuf_reader
 
 TYPE = "test.Ping"
 OPTIONAL, REPEATED = FieldDescriptorProto.LABEL_OPTIONAL, FieldDescriptorProto.LABEL_REPEATED
@@ -52,7 +52,7 @@ Ping: Any = GetMessageClass(POOL.FindMessageTypeByName(TYPE))
 
 
 def columns(pings: list[Any], *paths: str) -> dict[str, Any]:
-    reader = ProtobufReader(TYPE, DESCRIPTORS, paths)
+    reader = protobuf_reader(TYPE, DESCRIPTORS, paths)
     return reader.columns(block_of([ping.SerializeToString() for ping in pings]))
 
 
@@ -109,7 +109,7 @@ def test_unknown_path_names_the_nearest_field_and_text_is_no_number() -> None:
 
 
 def test_message_that_is_none_is_refused() -> None:
-    reader = ProtobufReader(TYPE, DESCRIPTORS, ["stamp_us"])
+    reader = protobuf_reader(TYPE, DESCRIPTORS, ["stamp_us"])
     with pytest.raises(LogError, match=r"a message of 3 bytes is no test\.Ping"):
         reader.columns(block_of([b"\x0a\xff\xff"]))
 
@@ -120,4 +120,4 @@ def test_schema_that_is_none_or_lacks_a_file_is_refused() -> None:
     sets = [FileDescriptorSet(file=[one]).SerializeToString() for one in (FileDescriptorProto(name="a"), broken)]
     for schema in (b"", b"\xff\xff", *sets):
         with pytest.raises(LogError, match=r"the schema of test\.Ping is no complete protobuf FileDescriptorSet"):
-            ProtobufReader(TYPE, schema, ["stamp_us"])
+            protobuf_reader(TYPE, schema, ["stamp_us"])

@@ -14,11 +14,10 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.container.recording import open_recording
-from insdvl_replay.logs.encoding.binary_fields import BinaryReader, definitions_by
-from insdvl_replay.logs.encoding.fields import channel_paths, open_reader
-from insdvl_replay.logs.encoding.layout import ROS1, dynamic_lengths, layout_of
-from insdvl_replay.logs.encoding.ros2msg import PRIMITIVES
+from insdvl_replay.logs.formats.fields import channel_paths, open_reader
+from insdvl_replay.logs.formats.layout import BinaryReader, message_layout
+from insdvl_replay.logs.formats.recording import open_recording
+from insdvl_replay.logs.formats.types import PRIMITIVES, definitions_of
 
 TYPE = "test_msgs/msg/Ping"
 MAIN = (
@@ -57,7 +56,7 @@ def serialised(ping: dict[str, Any]) -> bytes:
 
 
 def reader(*paths: str) -> BinaryReader:
-    return BinaryReader(definitions_by(TYPE, TEXT, "ros1"), TYPE, paths, ROS1)
+    return BinaryReader(definitions_of(TYPE, TEXT, "ros1"), TYPE, paths, is_cdr=False)
 
 
 @given(
@@ -119,20 +118,20 @@ def test_hostile_lengths_are_refused_before_anything_is_made() -> None:
 
 def test_structures_without_fields_are_counted_too() -> None:
     """They take no byte of the message, which could else hold any number of them."""
-    definitions = definitions_by("p/T0", f"p/T1[4294967295] t\n{'=' * 80}\nMSG: p/T1\n", "ros1")
+    definitions = definitions_of("p/T0", f"p/T1[4294967295] t\n{'=' * 80}\nMSG: p/T1\n", "ros1")
     with pytest.raises(LogError, match="a message holds more than 262144 fields"):
-        dynamic_lengths(definitions, "p/T0", b"", ROS1)
+        message_layout(definitions, "p/T0", b"", is_cdr=False)
 
 
 def test_a_type_without_fields_has_no_bytes() -> None:
-    definitions = definitions_by("std_msgs/Empty", "", "ros1")
-    assert layout_of(definitions, "std_msgs/msg/Empty", (), ROS1).size == 0
-    assert BinaryReader(definitions, "std_msgs/Empty", [], ROS1).columns(block_of([b"", b""])) == {}
+    definitions = definitions_of("std_msgs/Empty", "", "ros1")
+    assert message_layout(definitions, "std_msgs/msg/Empty", b"", is_cdr=False).size == 0
+    assert BinaryReader(definitions, "std_msgs/Empty", [], is_cdr=False).columns(block_of([b"", b""])) == {}
 
 
 def test_times_go_on_to_2106_and_durations_may_be_negative() -> None:
     """For rosbags both are signed; the format has times without a sign."""
-    fields = BinaryReader(definitions_by("p/T", "time t\nduration d", "ros1"), "p/T", ["t", "d"], ROS1)
+    fields = BinaryReader(definitions_of("p/T", "time t\nduration d", "ros1"), "p/T", ["t", "d"], is_cdr=False)
     columns = fields.columns(block_of([b"\xff" * 16]))
     assert columns["t"].tolist() == [[2**32 - 1, 2**32 - 1]]
     assert columns["d"].tolist() == [[-1, -1]]
@@ -140,7 +139,7 @@ def test_times_go_on_to_2106_and_durations_may_be_negative() -> None:
 
 def test_what_a_schema_lacks_is_told_with_what_writes_it() -> None:
     with pytest.raises(LogError, match="the schema uses std_msgs/msg/Header") as error:
-        definitions_by(TYPE, "Header header", "ros1")
+        definitions_of(TYPE, "Header header", "ros1")
     assert "`mcap convert`" in error.value.hint
 
 

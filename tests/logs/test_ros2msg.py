@@ -8,8 +8,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.encoding import ros2msg
-from insdvl_replay.logs.encoding.ros2msg import Definition, Field, definition_text, parse_definitions
+from insdvl_replay.logs.formats.types import Field, definition_folders, definition_text, parse_definitions
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -51,7 +50,7 @@ int8 NOTHING=0
 
 def test_parse_takes_fields_by_full_types_and_leaves_constants_defaults_bounds_and_comments() -> None:
     definitions = parse_definitions("pkg/msg/Top", TEXT)
-    assert definitions["pkg/msg/Top"].fields == (
+    assert definitions["pkg/msg/Top"] == (
         Field("with_default", "float64", "single", 1),
         Field("bounded", "string", "single", 1),
         Field("three", "int32", "array", 3),
@@ -63,7 +62,7 @@ def test_parse_takes_fields_by_full_types_and_leaves_constants_defaults_bounds_a
         Field("thing", "other_pkg/msg/Thing", "single", 1),
     )
     dummy = Field("structure_needs_at_least_one_member", "uint8", "single", 1)
-    assert definitions["other_pkg/msg/Thing"] == Definition("other_pkg/msg/Thing", (dummy,))
+    assert definitions["other_pkg/msg/Thing"] == (dummy,)
     assert list(definitions) == [
         "pkg/msg/Top",
         "std_msgs/msg/Header",
@@ -96,7 +95,7 @@ def test_known_types_are_complete_and_agree_with_rosbags() -> None:
         assert next(iter(definitions)) == type_name
         if type_name in store.types:
             theirs = [_flat(name, description) for name, description in store.get_msgdef(type_name).fields]
-            ours = [(field.name, field.type_name, field.length) for field in definitions[type_name].fields]
+            ours = [(field.name, field.type_name, field.length) for field in definitions[type_name]]
             assert ours == theirs, type_name
             compared += 1
     assert compared > 20
@@ -134,7 +133,7 @@ def test_known_types_agree_with_recorded_logs() -> None:
 
 
 def test_project_definitions_are_found_beside_the_package_and_inside_it() -> None:
-    _, inside, beside = ros2msg._definition_folders()
+    _, inside, beside = definition_folders()
     assert inside == ROOT / "insdvl_replay" / "schemas"
     assert beside == ROOT / "schemas"
 

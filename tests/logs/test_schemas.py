@@ -8,7 +8,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay import __version__
 from insdvl_replay.core.states import STATES
-from insdvl_replay.logs.encoding.ros2msg import definition_text, parse_definitions
+from insdvl_replay.logs.formats.types import definition_text, parse_definitions
 
 PACKAGE = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs"
 TYPES = sorted(file.stem for file in (PACKAGE / "msg").glob("*.msg"))
@@ -33,7 +33,7 @@ UNITS = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 
 def field_names(type_name: str) -> list[str]:
     full = f"insdvl_msgs/msg/{type_name}"
-    return [field.name for field in parse_definitions(full, definition_text(full))[full].fields]
+    return [field.name for field in parse_definitions(full, definition_text(full))[full]]
 
 
 def test_package_builds_every_message() -> None:
@@ -53,7 +53,7 @@ def test_package_declares_what_its_messages_use() -> None:
 
 def direct_types(type_name: str) -> list[str]:
     full = f"insdvl_msgs/msg/{type_name}"
-    fields = parse_definitions(full, definition_text(full))[full].fields
+    fields = parse_definitions(full, definition_text(full))[full]
     return [field.type_name for field in fields if "/" in field.type_name]
 
 

@@ -16,11 +16,9 @@ from insdvl_replay.core.dive_columns import ReferenceColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import east_north_up_m
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.encoding.binary_fields import definitions_by
-from insdvl_replay.logs.encoding.fields import Element
-from insdvl_replay.logs.encoding.layout import CDR
-from insdvl_replay.logs.encoding.list_elements import ElementReader
-from insdvl_replay.logs.encoding.ros2msg import definition_text
+from insdvl_replay.logs.formats.fields import Element
+from insdvl_replay.logs.formats.layout import BinaryReader
+from insdvl_replay.logs.formats.types import definition_text, definitions_of
 
 TYPE = "tf2_msgs/msg/TFMessage"
 TIMES = 0.1 * np.arange(20)
@@ -115,14 +113,14 @@ def test_lengths_and_texts_of_any_size_are_refused_or_read_and_nothing_else() ->
     """Every word of a message in turn is made small, large and huge."""
     text = definition_text(TYPE)
     message = serialised(store_with({TYPE: text}), TYPE, {"transforms": tree(2)})
-    definitions = definitions_by(TYPE, text, "cdr")
+    definitions = definitions_of(TYPE, text, "cdr")
     element = Element("transforms", ("header.frame_id", "child_frame_id"), ("map", "base_link"))
     refused = 0
     for place in range(4, len(message) - 3, 4):
         for word in (0, 1, 2, 255, 65_536, 2**31 - 1, 2**32 - 1):
             harmed = message[:place] + word.to_bytes(4, "little") + message[place + 4 :]
             try:
-                columns = ElementReader(definitions, TYPE, PATHS, CDR, element).columns(block_of([harmed]))
+                columns = BinaryReader(definitions, TYPE, PATHS, element=element).columns(block_of([harmed]))
             except LogError:
                 refused += 1
                 continue

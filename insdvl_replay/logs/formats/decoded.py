@@ -1,0 +1,395 @@
+"""Columns of chosen fields from messages that are decoded one by one: protobuf, JSON and JSON5.
+
+Sources: https://protobuf.dev/programming-guides/encoding/ and https://mcap.dev/spec/registry for protobuf, whose logs
+describe their types themselves; https://spec.json5.org for what recorders on vehicles write where JSON has no word.
+"""
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from copy import copy
+from dataclasses import dataclass, field
+from functools import reduce
+from itertools import count
+from operator import attrgetter
+from typing import Any, Final, Self
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.formats.fields import NUMBER, TEXT, Columns, Kinds, check_path
+from insdvl_replay.logs.formats.log_file import Block
+from insdvl_replay.logs.formats.types import MOST_LEVELS, MOST_PATHS, too_large
+
+_STRUCTURE: Final = "object"  # the kind of a JSON object
+
+Numbers = Callable[[Any], Sequence[float]]  # reads the numbers at a place of a decoded message
+Access = Callable[[Any, str, "Shape"], Any]  # takes a field out of a decoded structure; None where it is absent
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What is at a place of a message: a number, a text, or a structure of some name with its fields in order."""
+
+    kind: str
+    fields: Mapping[str, "Shape"] = field(default_factory=dict)
+    is_list: bool = False
+    may_be_absent: bool = False  # what may be absent is told apart from zero by the message
+
+    @property
+    def width(self) -> int:
+        """How many numbers every message has there; those in lists do not count."""
+        if self.is_list:
+            return 0
+        return int(self.kind == NUMBER) + sum(inner.width for inner in self.fields.values())
+
+    def paths(self, prefix: str = "") -> Iterator[tuple[str, str]]:
+        """Give every path of a structure, with its kind; the prefix ends in a dot."""
+        for name, inner in self.fields.items():
+            path = f"{prefix}{name}"
+            yield path, inner.kind
+            if inner.is_list:
+                path = f"{path}[*]"
+                yield path, inner.kind
+            yield from inner.paths(f"{path}.")
+
+
+class DecodedFields:
+    """Reads some fields of messages that are decoded one by one."""
+
+    def __init__(
+        self,
+        type_name: str,
+        paths: Sequence[str],
+        decode: Callable[[memoryview], Any],
+        access: Access,
+        shape: Shape | None = None,  # of all messages, where their schema tells it
+    ) -> None:
+        self._type_name = type_name
+        self._paths = tuple(paths)
+        self._decode = decode
+        self._access = access
+        self._numbers: dict[str, Numbers] = {}
+        self._shape = shape or Shape(_STRUCTURE)
+        self.known: Kinds = dict(self._shape.paths())
+        if shape is not None:
+            self._find(shape)
+
+    def _find(self, shape: Shape) -> None:
+        """Find the fields in messages of a shape; a LogError names one that is not there."""
+        self.known = dict(shape.paths())
+        for path in self._paths:
+            check_path(path, self.known, self._type_name)
+        self._numbers = {path: _inside(shape, _steps(path), self._access) for path in self._paths}
+        self._shape = shape
+
+    def of(self, paths: Sequence[str]) -> Self:
+        """Return a reader of other fields of the messages in which this one has found its own."""
+        other = copy(self)
+        other._paths = tuple(paths)
+        other._find(self._shape)
+        return other
+
+    def learn(self, messages: Sequence[Any]) -> None:
+        """Look at the first messages, where only they tell what is in them."""
+
+    def columns(self, block: Block) -> Columns:
+        """Return the fields of all messages of a block, (k, n)."""
+        places = zip(block.offsets.tolist(), block.sizes.tolist(), strict=True)
+        messages = [self._decode(block.buffer[offset : offset + size]) for offset, size in places]
+        if not self._numbers:
+            self.learn(messages)
+        return {path: _as_rows([numbers(message) for message in messages]) for path, numbers in self._numbers.items()}
+
+
+def _as_rows(rows: Sequence[Sequence[float]]) -> NDArray[Any]:
+    """Return rows of numbers, (k, n), int64 where all are whole; shorter rows are filled up with NaN."""
+    widths = {len(row) for row in rows}
+    if len(widths) > 1:
+        filled = np.full((len(rows), max(widths)), np.nan)
+        for row, filled_row in zip(rows, filled, strict=True):
+            filled_row[: len(row)] = row
+        return filled
+    values = np.array(rows).reshape(len(rows), -1) if widths != {0} else np.empty((len(rows), 0))
+    if values.dtype == np.object_:  # whole numbers of any size
+        values = np.vectorize(_as_float, otypes=[np.float64])(values)
+    return values.astype(np.int64 if values.dtype.kind in "bi" else np.float64, copy=False)
+
+
+def _as_float(number: float) -> float:
+    try:
+        return float(number)
+    except OverflowError:
+        return math.nan
+
+
+def _steps(path: str) -> list[tuple[str, slice]]:
+    """Split a path into names, each with the elements that it takes of a list."""
+    steps = []
+    for part in path.split("."):
+        match = re.fullmatch(r"(.*)\[(\d+)\]", part)
+        chosen = slice(int(match[2]), int(match[2]) + 1) if match else slice(None)
+        steps.append((match[1] if match else part.removesuffix("[*]"), chosen))
+    return steps
+
+
+def _inside(shape: Shape, steps: Sequence[tuple[str, slice]], access: Access) -> Numbers:
+    """Make the reader of the numbers at the end of some steps."""
+    if shape.kind == NUMBER:
+        return lambda value: [value if isinstance(value, int | float) else math.nan]
+    if steps:
+        name, chosen = steps[0]
+        return _field(name, shape.fields[name], chosen, steps[1:], access)
+    inner = shape.fields.values()
+    if len(inner) > 1 and all(one.kind == NUMBER and not one.is_list and not one.may_be_absent for one in inner):
+        return attrgetter(*shape.fields)  # of protobuf, where attributes are never absent: a vector is read at once
+    parts = [_field(name, one, slice(None), (), access) for name, one in shape.fields.items() if one.kind != TEXT]
+    return lambda value: [number for part in parts for number in part(value)]
+
+
+def _field(name: str, shape: Shape, chosen: slice, rest: Sequence[tuple[str, slice]], access: Access) -> Numbers:
+    inside = _inside(shape, rest, access)
+    end = shape
+    for step, _ in rest:
+        end = end if end.is_list else end.fields[step]
+    missing = [math.nan] * end.width
+
+    def elements(value: Any) -> list[float]:
+        items = access(value, name, shape)
+        return [number for item in items[chosen] for number in inside(item)] if items is not None else []
+
+    def single(value: Any) -> Sequence[float]:
+        inner = access(value, name, shape)
+        return missing if inner is None else inside(inner)
+
+    return elements if shape.is_list else single
+
+
+# --- Protobuf.
+
+
+def protobuf_reader(type_name: str, schema_data: bytes, paths: Sequence[str]) -> DecodedFields:
+    """Make the reader of a type by the serialised ``FileDescriptorSet`` with all that it uses."""
+    from google.protobuf.message import DecodeError
+    from mcap.exceptions import McapError
+    from mcap.records import Schema
+    from mcap_protobuf.decoder import DecoderFactory
+
+    schema = Schema(id=1, name=type_name, encoding="protobuf", data=schema_data)
+    try:
+        decode_any = DecoderFactory().decoder_for("protobuf", schema)
+        if decode_any is None:
+            raise TypeError("it is empty")
+        kind: Any = type(decode_any(b""))
+    except (DecodeError, McapError, TypeError, KeyError) as error:
+        raise LogError(
+            f"the schema of {type_name} is no complete protobuf FileDescriptorSet ({error})",
+            "record the log again with the descriptors of all files that the type uses",
+        ) from error
+    except RecursionError as error:
+        raise too_large(type_name) from error
+
+    def decode(message: memoryview) -> Any:
+        try:
+            return kind.FromString(bytes(message))
+        except DecodeError as error:
+            raise LogError(
+                f"a message of {len(message)} bytes is no {type_name}: {error}",
+                "the schema in the log is not that of the messages, or the log is damaged",
+            ) from error
+
+    def access(message: Any, name: str, shape: Shape) -> Any:
+        return None if shape.may_be_absent and not message.HasField(name) else getattr(message, name)
+
+    return DecodedFields(type_name, paths, decode, access, _protobuf_shape(kind.DESCRIPTOR, (), count()))
+
+
+def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[int]) -> Shape:
+    """Describe a message type; a type within itself and maps, whose keys no path can name, are left out."""
+    above = (*above, descriptor.full_name)
+    if len(above) > MOST_LEVELS:
+        raise too_large(above[0])
+    fields = {}
+    for one in descriptor.fields:
+        inner = one.message_type
+        if inner is not None and (inner.full_name in above or inner.GetOptions().map_entry):
+            continue
+        if next(numbers) == MOST_PATHS:
+            raise too_large(above[0])
+        primitive = TEXT if one.cpp_type == one.CPPTYPE_STRING else NUMBER
+        fields[one.name] = Shape(
+            kind=inner.full_name if inner else primitive,
+            fields=_protobuf_shape(inner, above, numbers).fields if inner else {},
+            is_list=one.is_repeated,
+            may_be_absent=one.has_presence and not one.has_default_value,
+        )
+    return Shape(descriptor.full_name, fields)
+
+
+# --- JSON.
+
+_EXAMPLES: Final = 100  # messages from which the fields are learnt that no schema names
+_MOST_FAILURES: Final = 20  # searches in vain before one message is taken for all that come with it
+_DEEPEST: Final = 32  # levels of structures within structures that are looked at
+_FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")  # of members, which have no order, these come last
+_DECODER: Final = msgspec.json.Decoder()
+_UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+
+
+class JsonReader(DecodedFields):
+    """Reads some fields of JSON messages; what their schema does not tell, the first of them do."""
+
+    def __init__(self, type_name: str, schema_data: bytes, paths: Sequence[str]) -> None:
+        super().__init__(type_name or "a JSON message", paths, _decoded, _member)
+        self._shape = _schema_shape(schema_data)
+        self.known = dict(self._shape.paths())
+        self._failures = 0
+
+    def learn(self, messages: Sequence[Any]) -> None:
+        """Add what the first messages show to what the schema says."""
+        # Where they lack a field, a reader of damaged logs asks again for fewer and fewer of them, each time in vain.
+        examples = messages[: _EXAMPLES if self._failures < _MOST_FAILURES else 1]
+        try:
+            self._find(reduce(_merged, map(_shape_of, examples), self._shape))
+        except LogError:
+            self._failures += 1
+            raise
+
+
+def _decoded(message: memoryview) -> Any:
+    try:
+        return _DECODER.decode(message)
+    except _UNREADABLE:
+        pass
+    with suppress(*_UNREADABLE):  # JSON5, as BlueOS records it
+        return _DECODER.decode(without_nan(bytes(message)))
+    try:
+        return _DECODER.decode(as_json(bytes(message).decode("utf-8")))
+    except _UNREADABLE as error:
+        what = f"a message of {len(message)} bytes is neither JSON nor JSON5: {error}"
+        raise LogError(what, "the log is damaged") from error
+
+
+def _member(structure: Any, name: str, shape: Shape) -> Any:
+    inner = structure.get(name) if isinstance(structure, dict) else None
+    return None if shape.is_list and not isinstance(inner, list) else inner
+
+
+def _schema_shape(schema_data: bytes) -> Shape:
+    """Describe messages by their JSON schema, as far as it tells."""
+    if not schema_data.strip():
+        return Shape(_STRUCTURE)
+    try:
+        schema = msgspec.json.decode(schema_data)
+    except _UNREADABLE as error:
+        raise LogError(f"the JSON schema is no JSON: {error}", "a schema may also be left out") from error
+
+    def described(schema: Any, level: int) -> Shape:
+        kind = schema.get("type") if isinstance(schema, Mapping) and level <= _DEEPEST else None
+        if kind == "array":
+            return _list_of(described(schema.get("items", {"type": "number"}), level + 1))
+        if kind == "object":
+            properties = schema.get("properties")
+            known = properties if isinstance(properties, Mapping) else {}
+            return _object({name: described(inner, level + 1) for name, inner in known.items()})
+        return Shape(NUMBER if kind in ("number", "integer", "boolean") else TEXT, may_be_absent=True)
+
+    shape = described(schema, 0)
+    return shape if shape.kind == _STRUCTURE else Shape(_STRUCTURE)
+
+
+def _shape_of(value: Any, level: int = 0) -> Shape:
+    """Describe a message by an example."""
+    if isinstance(value, dict) and level <= _DEEPEST:
+        return _object({name: _shape_of(inner, level + 1) for name, inner in value.items()})
+    if isinstance(value, list) and level <= _DEEPEST:
+        return _list_of(reduce(_merged, (_shape_of(item, level + 1) for item in value), Shape(TEXT)))
+    return Shape(NUMBER if isinstance(value, int | float) else TEXT, may_be_absent=True)
+
+
+def _list_of(inner: Shape) -> Shape:
+    """Describe a list; one of lists has no path, so that its inner lists are as closed as text."""
+    return Shape(TEXT if inner.is_list else inner.kind, {} if inner.is_list else inner.fields, True, True)
+
+
+def _object(fields: Mapping[str, Shape]) -> Shape:
+    order = sorted(fields, key=lambda name: _FIRST.index(name) if name in _FIRST else -1)
+    return Shape(_STRUCTURE, {name: fields[name] for name in order}, may_be_absent=True)
+
+
+def _merged(shape: Shape, example: Shape) -> Shape:
+    """Add what an example shows; text, null and an empty list give way to it."""
+    if shape.kind != _STRUCTURE or example.kind != _STRUCTURE:
+        return example if shape.kind == TEXT else shape
+    fields = dict(shape.fields)
+    for name, inner in example.fields.items():
+        fields[name] = _merged(fields.get(name, Shape(TEXT)), inner)
+    return Shape(_STRUCTURE, _object(fields).fields, shape.is_list, shape.may_be_absent)
+
+
+# --- JSON5: names without quotes, single quotes, comments, a comma behind the last member, .5, +1, 0xff, NaN.
+
+_TOKEN: Final = re.compile(
+    r"""(?P<text>"(?:[^"\\]|\\.)*"?)
+    | (?P<single>'(?:[^'\\]|\\.)*(?P<closed>')?)
+    | (?P<comment>//[^\n]* | /\*(?:.*?\*/ | .*))
+    | (?P<number>[+-]?(?:0[xX][0-9a-fA-F]+ | (?:\d+\.?\d* | \.\d+)(?:[eE][+-]?\d+)? | Infinity\b | NaN\b))
+    | (?P<name>[A-Za-z_$][\w$]*)
+    | (?P<space>\s+)
+    | (?P<other>.)""",
+    re.VERBOSE | re.DOTALL,
+)  # each character is looked at once: what is never closed goes on to the end
+_NO_NUMBER: Final = re.compile(rb"(?<=[:,\[])\s*[+-]?(?:NaN|Infinity)(?=[\s,}\]])")
+_ESCAPE: Final = re.compile(r"\\(?:x[0-9a-fA-F]{2}|\r\n|.)", re.DOTALL)
+_ESCAPES: Final = {"\\'": "'", "\\v": "\\u000b", "\\0": "\\u0000", "\\\n": "", "\\\r\n": ""}
+
+
+def without_nan(message: bytes) -> bytes:
+    """Write null for NaN and infinities, all that most JSON5 has beyond JSON; some 20 times as fast as `as_json`."""
+    return _NO_NUMBER.sub(b"null", message)
+
+
+def as_json(text: str) -> str:
+    """Write JSON5 as JSON, NaN and infinities as null; what is neither stays what it is."""
+
+    def escape(match: re.Match[str]) -> str:
+        found = match.group()
+        return f"\\u00{found[2:]}" if found.startswith("\\x") else _ESCAPES.get(found, found)
+
+    parts: list[str] = []
+    comma = -1  # where the latest part is a comma
+    for token in _TOKEN.finditer(text):
+        kind, found = token.lastgroup, token.group()
+        if kind in ("comment", "space"):
+            parts.append(" ")
+            continue
+        if comma >= 0 and found in "}]":
+            parts[comma] = " "
+        comma = len(parts) if found == "," else -1
+        if kind == "text" and "\\" in found:
+            found = _ESCAPE.sub(escape, found)
+        elif kind == "single" and token["closed"]:
+            inside = _ESCAPE.sub(escape, re.sub(r'(?<!\\)"', r"\"", found[1:-1]))
+            found = f'"{inside}"'
+        elif kind == "number":
+            found = _json_number(found)
+        elif kind == "name" and found not in ("true", "false", "null"):
+            found = f'"{found}"'
+        parts.append(found)
+    return "".join(parts)
+
+
+def _json_number(found: str) -> str:
+    if found.endswith(("NaN", "Infinity")):
+        return "null"
+    sign, digits = ("-" if found.startswith("-") else ""), found.lstrip("+-")
+    if digits[:2] in ("0x", "0X"):
+        # Python makes no number of thousands of digits, but of these it does.
+        return f"{sign}{int(digits, 16)}" if len(digits) <= 18 else "null"
+    whole, dot, rest = digits.partition(".")
+    if not dot:
+        return sign + digits
+    return f"{sign}{whole or '0'}.{rest if rest[:1].isdigit() else '0' + rest}"

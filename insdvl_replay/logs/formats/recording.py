@@ -1,0 +1,328 @@
+"""What can be read: a log, several files that are one dive, or a bag, the folder of a recorder that split its file."""
+
+import hashlib
+import os
+import re
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from itertools import accumulate
+from pathlib import Path
+from typing import Final, NamedTuple, TypeVar
+
+from insdvl_replay.core.dive_columns import TimeNs
+from insdvl_replay.core.dive_record import LOG_SUFFIXES
+from insdvl_replay.core.errors import LogError, Note, is_writable, read_text, visible
+from insdvl_replay.core.words import Severity
+from insdvl_replay.logs.formats.log_file import (
+    COPY_AGAIN,
+    Block,
+    Digest,
+    FileBytes,
+    LogFile,
+    UnusableFileError,
+    damaged_file_error,
+)
+from insdvl_replay.logs.formats.mcap_file import McapFile
+from insdvl_replay.logs.formats.records import MAGIC
+
+CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
+Step = TypeVar("Step")
+
+
+def open_log_file(path: Path) -> LogFile:
+    """Open a file, which its first bytes tell the format of; names tell nothing."""
+    file = FileBytes(path)
+    start = bytes(file.read(0, 16))
+    if start == b"SQLite format 3\0":
+        from insdvl_replay.logs.formats.sqlite_bag import SqliteFile
+
+        return SqliteFile(file)
+    if start.startswith(b"#ROSBAG V2.0\n"):
+        from insdvl_replay.logs.formats.ros1_bag import BagFile
+
+        return BagFile(file)
+    if not start.startswith(MAGIC) and (other := other_format(path, start)) is not None:
+        raise LogError(f"is {other.name}, which is not read", other.step.format(path=path), path)
+    return McapFile(file)
+
+
+class Recording:
+    """One or several files, open for reading as one log.
+
+    A damaged file is refused with the place and what could be saved. Where damage is allowed, it is read as far as its
+    bytes can be believed, and files of which nothing can be used are done without.
+    """
+
+    def __init__(self, path: Path, files: Collection[Path], *, allow_damaged: bool = False) -> None:
+        self.path = path  # stands for the whole: the folder of a bag, or one of the files
+        self.allow_damaged = allow_damaged
+        self._unusable: dict[Path, UnusableFileError] = {}
+        opened: list[LogFile] = []
+        for file in sorted(files):
+            try:
+                # One file must not be refused before it is known what could be saved of all.
+                opened.append(open_log_file(file))
+            except UnusableFileError as error:
+                self._unusable[file] = error
+        if not opened:
+            raise next(iter(self._unusable.values()))
+        if len(opened) > 1:  # by their first log times, files without messages last
+            opened.sort(key=lambda part: (part.span_ns[0] if part.span_ns else float("inf"), part.path.name))
+        self.parts = tuple(opened)
+        self._is_one_file = len(files) == 1 and self.parts[0].path == path
+        self.channels = tuple(  # of all parts; their ids count on from part to part, so that none occurs twice
+            replace(channel, id=channel.id + number * CHANNELS_OF_A_PART)
+            for number, part in enumerate(self.parts)
+            for channel in part.channels
+        )
+        self._raise_if_damaged()
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What was found wrong so far, and which files were read as one."""
+        notes = [note for part in self.parts for note in part.notes]
+        for error in self._unusable.values():
+            text = f"{error.message}; an unknown number of messages (an unknown time) are lost; nothing of it is left"
+            notes.append(Note("log_damaged", text, 1, Severity.WARNING, COPY_AGAIN))
+        if len(self.parts) > 1:
+            names = ", ".join(part.path.name for part in self.parts)
+            notes.insert(0, Note("joined_files", f"read as one dive: {names}", len(self.parts)))
+            spans = [part.span_ns for part in self.parts if part.span_ns]
+            reached = accumulate((last for _, last in spans), max)
+            following = zip(reached, spans[1:], strict=False)
+            overlaps = [(end - start) * 1e-9 for end, (start, _) in following if end >= start]
+            if overlaps:
+                text = f"{len(overlaps)} files begin before those before them end, by up to {max(overlaps):.3f} s"
+                notes.append(Note("files_overlap", text, len(overlaps)))
+        return tuple(notes)
+
+    def log_times(self) -> dict[int, TimeNs]:
+        """Return the log times of all messages by channel, (k,) ns."""
+        times = {
+            channel_id + number * CHANNELS_OF_A_PART: times
+            for number, part in enumerate(self.parts)
+            for channel_id, times in part.log_times().items()
+        }
+        self._raise_if_damaged()
+        return times
+
+    def digests(self) -> list[Digest]:
+        """Go over all bytes of the parts in their order, then of the files that cannot be used.
+
+        It changes nothing here, so that another thread can do it.
+        """
+        unusable = [Digest(hashlib.sha256(file.read_bytes()).hexdigest(), []) for file in self._unusable]
+        return [part.digest() for part in self.parts] + unusable
+
+    def sha256(self, digests: Sequence[Digest] | None = None) -> str:
+        """Return the digest of the file, or of the digests of all files, and note wrong checksums."""
+        digests = digests or self.digests()
+        for part, digest in zip(self.parts, digests, strict=False):
+            part.damages.update(dict.fromkeys(digest.damages))
+        self._raise_if_damaged()
+        if self._is_one_file:
+            return digests[0].sha256
+        return hashlib.sha256("".join(digest.sha256 for digest in digests).encode()).hexdigest()
+
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Refuse the files if one has changed by the end since it was opened."""
+        with ExitStack() as all_parts:
+            for part in self.parts:
+                all_parts.enter_context(part.watched())
+            yield
+
+    def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
+        """Go through the messages of some channels, part by part, a chunk at a time."""
+        for number, part in enumerate(self.parts):
+            first = number * CHANNELS_OF_A_PART
+            inside = {id_ - first for id_ in channel_ids if 0 <= id_ - first < CHANNELS_OF_A_PART}
+            for block in self._while_sound(part.blocks(inside)):
+                yield replace(block, channel_id=block.channel_id + first) if first else block
+
+    def check_unopened(self) -> None:
+        """Check the chunks that nobody needed."""
+        for part in self.parts:
+            for _ in self._while_sound(part.check_unopened()):
+                pass
+
+    def _while_sound(self, steps: Iterator[Step]) -> Iterator[Step]:
+        """Go on step by step until damage is found that is not allowed."""
+        for step in steps:
+            self._raise_if_damaged()
+            yield step
+        self._raise_if_damaged()
+
+    def damage_error(self) -> LogError | None:
+        """Return the error with which the files would be refused, by the damage found so far."""
+        faults = [*(fault for part in self.parts for fault in part.faults()), *self._unusable.values()]
+        saved = (times for part in self.parts for times in part.saved_times())
+        return damaged_file_error(faults, saved) if faults else None
+
+    def _raise_if_damaged(self) -> None:
+        if not self.allow_damaged and (error := self.damage_error()) is not None:
+            for part in self.parts:
+                part.file.require_unchanged()
+            raise error
+
+
+def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) -> Recording:
+    """Open a log, the folder of a bag, or several of them as one; their order does not matter.
+
+    Damaged files are refused, or read as far as they can be believed.
+    """
+    given = (path,) if isinstance(path, Path) else tuple(path)
+    for name in map(str, given):
+        if not is_writable(name):
+            raise LogError(f"{visible(name)}: its name is not UTF-8, so no result could bear it", "rename it")
+    if len(given) == 1 and not given[0].is_dir():
+        return Recording(given[0], given, allow_damaged=allow_damaged)
+    files = [file for part in given for file in (bag_parts(part) if part.is_dir() else (part,))]
+    # A file that is named twice is read once.
+    unique = {os.path.realpath(file): file for file in files}
+    return Recording(name_giver(given), unique.values(), allow_damaged=allow_damaged)
+
+
+def name_giver(paths: Sequence[Path]) -> Path:
+    """Return the path after which several are named: the first by its name."""
+    return min(paths, key=natural_sort_key)
+
+
+def natural_sort_key(path: Path) -> list[tuple[str, int]]:
+    """Sort names as people count: part 2 before part 10."""
+    return [(word, int(digits or 0)) for word, digits in re.findall(r"(\D*)(\d*)", path.name)]
+
+
+# --- Bags: folders with the parts of a recording.
+
+METADATA: Final = "metadata.yaml"  # in which rosbag2 lists the parts
+_PACKED: Final = ".zstd"  # ending of parts that rosbag2 compressed as a whole
+
+
+def bag_parts(path: Path) -> tuple[Path, ...]:
+    """Return the files of a bag: those that its list names, which must be all that are there, or all logs."""
+    metadata, found = path / METADATA, _logs_in(path)
+    by_name = f"{path / f'*{found[0].suffix if found else LOG_SUFFIXES[0]}'} --one-dive"
+    parts = tuple(found)
+    if metadata.is_file():
+        # A part that the list has as it was packed may be there as the user has unpacked it.
+        listed = [path / name for name in _listed(metadata, by_name)]
+        plain = [part.with_suffix("") if part.suffix == _PACKED else part for part in listed]
+        parts = tuple(one if _is_file(one) else part for part, one in zip(listed, plain, strict=True))
+        for part in parts:
+            if not _is_file(part):
+                hint = f"copy the whole bag, or read the parts that are there: {by_name}"
+                raise LogError(f"lists {part.name}, which is not there", hint, metadata)
+        for other in found:
+            if other not in parts:
+                what = f"does not list {other.name}, which lies beside the parts of the bag"
+                raise LogError(what, f"move it away, or read all logs of the folder: {by_name}", metadata)
+    for packed in _logs_in(path, _PACKED):
+        if packed.with_suffix("") not in parts:
+            raise LogError("is compressed as a whole with zstd", f"`zstd -d {packed}` unpacks it", packed)
+    if not parts:
+        what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files"
+        raise LogError(what, "name a log, or a folder with the parts of one", path)
+    return parts
+
+
+def _logs_in(folder: Path, behind: str = "") -> list[Path]:
+    return sorted(path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}{behind}"))
+
+
+def _is_file(path: Path) -> bool:
+    return os.path.isfile(path)  # noqa: PTH113  # a Path raises where the name is too long
+
+
+def _listed(metadata: Path, by_name: str) -> list[str]:
+    """Read which parts a list names, as rosbag2 writes it in YAML, or anybody in JSON."""
+    hint = f"read the logs beside it: {by_name}"
+    try:
+        text = read_text(metadata)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text"
+        raise LogError(f"cannot be read: {reason}", hint, metadata) from error
+    found = re.search(r'relative_file_paths"?:[ \t]*(\[[^\]]*\]|(?:\n[ \t]*-[ \t]+[^\n]+)+)', text.replace("\r", ""))
+    listed = found[1] if found else ""
+    items = re.split(r"[\[\],]" if listed.startswith("[") else r"\n[ \t]*-[ \t]+", listed)
+    names = [_unquoted(item.strip()) for item in items if item.strip()]
+    if not names:
+        raise LogError("lists no files", hint, metadata)
+    if re.search(r'compression_mode"?:[ \t]*["\']?MESSAGE', text, re.IGNORECASE):
+        what = "says that each message is compressed for itself"
+        raise LogError(what, "`ros2 bag convert` writes them as they are", metadata)
+    return names
+
+
+def _unquoted(name: str) -> str:
+    """Return a name as YAML means it."""
+    if name[:1] == name[-1:] == "'" and len(name) > 1:
+        return name[1:-1].replace("''", "'")
+    return re.sub(r"\\(.)", r"\1", name[1:-1]) if name[:1] == name[-1:] == '"' and len(name) > 1 else name
+
+
+# --- Files of other formats: what they are, by their first bytes, and the step that makes a log of them.
+
+
+class OtherFormat(NamedTuple):
+    """A format that is not read."""
+
+    name: str  # for a sentence that begins with "is"
+    starts: tuple[bytes, ...]  # each file begins with one of these; none where the ending of its name is all that tells
+    endings: tuple[str, ...]  # of its name
+    step: str  # what helps
+
+
+_ARRAYS: Final = "`insdvl_replay.logs.write_dive` writes a log of arrays; docs/inputs.md has the lines"
+_DRIVER: Final = "record the messages of a driver beside it, or write its velocities as geometry_msgs/TwistStamped"
+_UNPACK: Final = "unpack it, and name what was in it"
+_TLOG: Final = (
+    "its IMU is too slow to replay; take the vehicle's .BIN (LOG_REPLAY=1), of which clydemcqueen/dive_to_bag "
+    "writes a bag, with the DVL of this file"
+)
+_BIN: Final = (
+    "with LOG_REPLAY=1 it has the exact inputs of the filter on board; clydemcqueen/dive_to_bag writes a bag of it"
+)
+_BIN_TEXT: Final = "take the .BIN that it was made of; clydemcqueen/dive_to_bag writes a bag of that"
+_ULOG: Final = "`ulog2rosbag` of pyulog writes a bag with px4_msgs, which are known"
+
+# The first that fits is meant; the endings of names count where no first bytes fit. Sources: ArduPilot's AP_Logger
+# (LogStructure.h), PX4's ULog file format, Teledyne's PD0, PD4 and PD6 output, Nortek's integrator's guides, MAVLink's
+# telemetry logs, and the formats' own specifications.
+OTHER_FORMATS: Final = (
+    OtherFormat("a log of ArduPilot (.BIN)", (b"\xa3\x95\x80",), (".bin",), _BIN),
+    OtherFormat("a log of ArduPilot as text", (b"FMT, ",), (".log",), _BIN_TEXT),
+    OtherFormat("a log of PX4 (ULog)", (b"ULog\x01\x12\x35",), (".ulg",), _ULOG),
+    OtherFormat("a telemetry log of MAVLink (.tlog)", (), (".tlog",), _TLOG),
+    OtherFormat("output of a Teledyne DVL or ADCP (PD0)", (b"\x7f\x7f",), (".pd0",), _DRIVER),
+    OtherFormat("output of a Teledyne DVL (PD4 or PD5)", (b"\x7d\x00", b"\x7d\x01"), (".pd4", ".pd5"), _DRIVER),
+    OtherFormat("output of a Teledyne DVL (PD6)", (b":SA,", b":TS,", b":BI,", b":BS,"), (".pd6",), _DRIVER),
+    OtherFormat("output of a Nortek instrument (AD2CP, or a Nucleus)", (b"\xa5\x0a",), (".ad2cp", ".nucleus"), _DRIVER),
+    OtherFormat("sentences of NMEA", (b"$P", b"$G"), (".nmea",), _DRIVER),
+    OtherFormat("a log of LCM", (b"\xed\xa1\xda\x01",), (".lcm", ".lcmlog"), _ARRAYS),
+    OtherFormat("a log of DUNE (IMC)", (b"\x54\xfe", b"\xfe\x54"), (".lsf",), _ARRAYS),
+    OtherFormat("a file of HDF5", (b"\x89HDF\r\n\x1a\n",), (".h5", ".hdf5"), _ARRAYS),
+    OtherFormat("a file of MATLAB", (b"MATLAB ",), (".mat",), _ARRAYS),
+    OtherFormat("JSON, as Water Linked's DVLs send it", (b'{"',), (".json", ".jsonl"), _ARRAYS),
+    OtherFormat("compressed with gzip", (b"\x1f\x8b",), (".gz", ".tgz"), _UNPACK),
+    OtherFormat("compressed with lz4", (b"\x04\x22\x4d\x18",), (".lz4",), _UNPACK),
+    OtherFormat("an archive of zip", (b"PK\x03\x04",), (".zip",), _UNPACK),
+    OtherFormat("a table as text", (), (".csv", ".tsv", ".txt", ".dat"), _ARRAYS),
+)
+_NEAR_FORMATS: Final = (
+    OtherFormat("a bag of ROS 1 before 2010", (b"#ROSBAG V1",), (), "`rosbag fix` writes it as version 2.0"),
+    OtherFormat("compressed as a whole with zstd", (b"\x28\xb5\x2f\xfd",), (), "`zstd -d {path}` unpacks it"),
+)
+
+
+def other_format(path: Path, start: bytes) -> OtherFormat | None:
+    """Return the format of a file by its first 16 bytes, else by the ending of its name."""
+    for known in (*OTHER_FORMATS, *_NEAR_FORMATS):
+        if any(start.startswith(magic) for magic in known.starts):
+            return known
+    # MAVLink: each message is behind its time in microseconds, from 2001 to 2096, the larger bytes first.
+    if len(start) > 8 and start[8] in (0xFD, 0xFE) and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15:
+        return next(known for known in OTHER_FORMATS if ".tlog" in known.endings)
+    # An ending that belongs to bytes which are not there tells nothing.
+    return next((one for one in OTHER_FORMATS if not one.starts and path.suffix.lower() in one.endings), None)

@@ -1,0 +1,285 @@
+"""A .bag file, the log of ROS 1: its connections as channels, and the messages of its chunks as blocks of bytes.
+
+A record is a header of named fields, and data. Messages are in chunks, behind each an index of its messages by
+connection, and at the end of the bag all connections and what each chunk holds. After bytes that are no record nothing
+is looked for: the format has no mark by which one is known.
+Source: the format of version 2.0, http://wiki.ros.org/Bags/Format/2.0.
+"""
+
+from array import array
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import replace
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
+from insdvl_replay.logs.formats.log_file import (
+    COPY_AGAIN,
+    Block,
+    Damage,
+    DamageError,
+    FileBytes,
+    LogChannel,
+    LogFile,
+    damage_note,
+    gather,
+    opened,
+)
+
+_MAGIC: Final = b"#ROSBAG V2.0\n"
+_MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)  # kinds of records
+_LONGEST_HEADER: Final = 1 << 20
+_WORD: Final = np.dtype("<u4")
+_ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])  # of the index of a chunk
+_COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])  # of what the end of the bag says of a chunk
+# Of each message of a chunk: where its record and its payload start, and how long this is.
+_FOUND: Final = np.dtype([(name, np.int64) for name in ("connection", "time_ns", "place", "start", "size")])
+Messages = NDArray[np.void]  # of _FOUND
+Read = Callable[[int, int], memoryview]  # the bytes from a place to another
+
+
+class _Record(NamedTuple):
+    fields: dict[bytes, bytes]
+    offset: int
+    start: int  # of its data
+    end: int
+
+    @property
+    def kind(self) -> int:
+        return self.number(b"op", 1)
+
+    def number(self, name: bytes, size: int) -> int:
+        """Return a field that is a whole number of some bytes."""
+        value = self.fields.get(name, b"")
+        if len(value) != size:
+            raise DamageError(self.offset, f"a record has no field '{name.decode()}' of {size} bytes")
+        return int.from_bytes(value, "little")
+
+    def text(self, name: bytes) -> str:
+        """Return a field that is text; empty where there is none."""
+        return self.fields.get(name, b"").decode("utf-8", "replace")
+
+
+class BagFile(LogFile):
+    """A .bag of version 2.0, open for reading."""
+
+    profile = "ros1"
+    library = "rosbag"
+
+    def __init__(self, file: FileBytes) -> None:
+        super().__init__(file)
+        self._connections: dict[int, LogChannel] = {}
+        self._chunks: dict[int, tuple[_Record, Messages]] = {}
+        self._announced: Counter[int] | None = None  # messages by connection, as the end of the bag says
+        with self.watched():
+            self._read()
+        self.chunk_count = len(self._chunks)
+        self.compression = tuple(sorted({chunk.text(b"compression") for chunk, _ in self._chunks.values()}))
+        times = self.log_times()
+        self.channels = tuple(replace(one, messages=times[one.id].size) for one in self._connections.values())
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What was found wrong, or that the recorder did not close the bag."""
+        if self.damages:
+            lost = "an unknown number of messages are lost"
+            if self._announced is not None:
+                topics = Counter[str]()
+                for number, count in self._announced.items():
+                    topics[self._connections[number].topic if number in self._connections else "no topic"] += count
+                topics.subtract({channel.topic: channel.messages for channel in self.channels})
+                parts = [f"{count} messages of {topic}" for topic, count in topics.items() if count > 0]
+                lost = f"{', '.join(parts) or 'no messages'} are lost"
+            return (damage_note(self.path.name, self.damages, lost),)
+        if not self.has_summary:
+            text = f"{self.path.name} was not closed by its recorder: what came last may be missing"
+            return (Note("log_summary", text, 1, Severity.WARNING, COPY_AGAIN),)
+        return ()
+
+    def log_times(self) -> dict[int, TimeNs]:
+        """Return the log times of all messages by channel, (k,) ns."""
+        found = np.concatenate([np.empty(0, _FOUND), *(messages for _, messages in self._chunks.values())])
+        return {
+            channel.id: found["time_ns"][found["connection"] == number] for number, channel in self._connections.items()
+        }
+
+    def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
+        """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
+        wanted = {number: channel.id for number, channel in self._connections.items() if channel.id in channel_ids}
+        for chunk, messages in self._chunks.values():
+            there = sorted(wanted.keys() & set(np.unique(messages["connection"]).tolist()))
+            buffer = self._open(chunk) if there else memoryview(b"")
+            for number in there:
+                rows = messages[messages["connection"] == number]
+                time_ns = rows["time_ns"].copy()
+                yield Block(wanted[number], buffer, rows["start"].copy(), rows["size"].copy(), time_ns, time_ns)
+
+    def _read(self) -> None:
+        """Go through the records of the file, up to its end or to bytes that are none, and open its chunks."""
+        place, latest = len(_MAGIC), -1
+        found: dict[int, list[_Record]] = {kind: [] for kind in range(_BAG, _CONNECTION + 1)}
+        indexes: dict[int, list[_Record]] = {}
+        with self.collected():
+            while place < len(self.file):
+                record = _record_at(self.file.read, place, len(self.file))
+                if record.kind == _INDEX and latest >= 0:
+                    indexes[latest].append(record)
+                elif record.kind not in found:
+                    raise DamageError(place, f"a record of kind {record.kind} is where none belongs")
+                else:
+                    found[record.kind].append(record)
+                    latest = place if record.kind == _CHUNK else -1
+                    indexes[place] = []
+                place = record.end
+        if any(header.text(b"encryptor") for header in found[_BAG]):
+            raise LogError("is encrypted", "where its key is, `rosbag decompress` writes it plain", self.path)
+        if len(found[_BAG]) != 1:
+            self.damages.setdefault(Damage(len(_MAGIC), f"the bag has {len(found[_BAG])} headers"))
+        self.has_summary = any(header.fields.get(b"index_pos", b"").strip(b"\0") for header in found[_BAG])
+        for record in found[_CONNECTION]:
+            with self.collected():
+                self._take_connection(record, self.file.read(record.start, record.end))
+        for chunk in found[_CHUNK]:
+            with self.collected():
+                self._chunks[chunk.offset] = chunk, self._messages_of(chunk, indexes[chunk.offset])
+        for info in found[_CHUNK_INFO] if self.has_summary else ():
+            with self.collected():
+                counts = dict(self._entries(info, _COUNT).tolist())
+                self._announced = (self._announced or Counter()) + Counter(counts)
+                _, messages = self._chunks.get(info.number(b"chunk_pos", 8), (None, None))
+                if messages is None or counts != Counter(messages["connection"].tolist()):
+                    raise DamageError(info.offset, "the end of the bag does not agree with one of its chunks")
+
+    def _take_connection(self, record: _Record, data: memoryview) -> None:
+        """Make a channel of a connection; the same is in its chunk and at the end of the bag."""
+        told = _Record(_fields(data, record.offset), record.offset, 0, 0)
+        number = record.number(b"conn", 4)
+        channel = LogChannel(
+            id=self._connections[number].id if number in self._connections else len(self._connections),
+            topic=record.text(b"topic"),
+            type_name=told.text(b"type"),
+            encoding="ros1",
+            schema_encoding="ros1msg",
+            messages=0,
+            schema_data=told.fields.get(b"message_definition", b""),
+            metadata={name: told.text(name.encode()) for name in ("md5sum", "callerid")},
+        )
+        if channel.id >= 1 << 16:
+            raise LogError("has more than 65536 connections", "no vehicle records so many", self.path)
+        if self._connections.setdefault(number, channel) != channel:
+            raise DamageError(record.offset, f"connection {number} is not the same in two places")
+
+    def _messages_of(self, chunk: _Record, indexes: list[_Record]) -> Messages:
+        """Open a chunk, and hold its indexes against the messages in it, of which those without connection are lost."""
+        buffer = self._open(chunk)
+        try:
+            messages, others = _find_messages(buffer)
+            for record in others:
+                if record.kind == _CONNECTION:
+                    self._take_connection(record, buffer[record.start : record.end])
+        except DamageError as error:
+            offset, what = error.damage
+            raise DamageError(chunk.offset, f"in the chunk, {offset} bytes on, {what}") from error
+        for number in sorted(set(messages["connection"].tolist()) - self._connections.keys()):
+            what = f"messages are of connection {number}, which is nowhere described"
+            self.damages.setdefault(Damage(chunk.offset, what))
+        named = 0
+        with self.collected():
+            for index in indexes:
+                entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
+                found = messages[messages["connection"] == index.number(b"conn", 4)]
+                time_ns = _time_ns(entries["sec"], entries["nanosec"])
+                if np.array_equal(entries["place"], found["place"]) and np.array_equal(time_ns, found["time_ns"]):
+                    named += len(entries)
+            if (indexes or self.has_summary) and named != len(messages):
+                raise DamageError(chunk.offset, "the indexes of a chunk do not name its messages")
+        return messages
+
+    def _open(self, chunk: _Record) -> memoryview:
+        compression = chunk.text(b"compression").removeprefix("none")
+        data = self.file.read(chunk.start, chunk.end)
+        return opened(data, compression, chunk.number(b"size", 4), chunk.offset)
+
+    def _entries(self, record: _Record, dtype: np.dtype[Any]) -> NDArray[Any]:
+        """Read the entries of an index, (k,)."""
+        count, rest = divmod(record.end - record.start, dtype.itemsize)
+        if rest or record.number(b"count", 4) != count:
+            raise DamageError(record.offset, f"a record does not have the {count} entries that it says")
+        return np.frombuffer(self.file.read(record.start, record.end), dtype)
+
+
+def _record_at(read: Read, place: int, end: int) -> _Record:
+    """Read the record that starts at a place."""
+    if end - place < 8:
+        raise DamageError(place, f"{end - place} bytes are left where a record needs at least 8")
+    size, left = int.from_bytes(read(place, place + 4), "little"), end - place - 8
+    if size > min(left, _LONGEST_HEADER):
+        raise DamageError(place, f"a record says its header has {size} bytes; {left} are left")
+    header, start = read(place + 4, place + 8 + size), place + 8 + size
+    length = int.from_bytes(header[size:], "little")
+    if length > end - start:
+        raise DamageError(place, f"a record says it has {length} bytes; {end - start} are left")
+    return _Record(_fields(header[:size], place), place, start, start + length)
+
+
+def _fields(header: memoryview, place: int) -> dict[bytes, bytes]:
+    """Read named fields, which are at a place of the file."""
+    fields, start = {}, 0
+    while start < len(header):
+        size = int.from_bytes(header[start : start + 4], "little")
+        name, sign, value = bytes(header[start + 4 : start + 4 + size]).partition(b"=")
+        if size > len(header) - start - 4 or not sign or name in fields:
+            raise DamageError(place, "the header of a record is none of named fields")
+        fields[name] = value
+        start += 4 + size
+    return fields
+
+
+def _time_ns(sec: NDArray[Any], nanosec: NDArray[Any]) -> TimeNs:
+    return np.asarray(sec.astype(np.int64) * NS_PER_S + nanosec)
+
+
+def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
+    """Find the messages and the other records of an open chunk; a DamageError has the place in it."""
+    place, end, bounds = 0, len(buffer), array("q")
+    while place < end:
+        # As `_record_at`, without the fields.
+        size = int.from_bytes(buffer[place : place + 4], "little")
+        start = place + 8 + size
+        behind = start + int.from_bytes(buffer[start - 4 : start], "little")
+        if size > _LONGEST_HEADER or start > end or behind > end:
+            _record_at(lambda first, last: buffer[first:last], place, end)  # raises
+        bounds.extend((place, start, behind))
+        place = behind
+    places, starts, ends = np.array(bounds, np.int64).reshape(-1, 3).T
+    found = np.zeros(places.size, _FOUND)
+    found["connection"], found["place"], found["start"], found["size"] = -1, places, starts, ends - starts
+    others, is_tried = [], False
+    for row in range(places.size):
+        if found["connection"][row] >= 0:
+            continue
+        record = _record_at(lambda first, last: buffer[first:last], int(places[row]), end)
+        if record.kind != _MESSAGE:
+            others.append(record)
+            continue
+        nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
+        found["connection"][row], found["time_ns"][row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec
+        if not is_tried:
+            # Nearly all messages have headers that differ from the first in connection and time alone.
+            size = int(starts[row] - places[row]) - 8
+            rows = np.flatnonzero(starts - places == size + 8)
+            headers = gather(buffer, places[rows] + 4, np.dtype((np.void, size))).view(np.uint8).reshape(-1, size)
+            header = headers[np.searchsorted(rows, row)]
+            connection, time = (bytes(header).index(name) + len(name) for name in (b"conn=", b"time="))
+            varies = np.isin(np.arange(size), [*range(connection, connection + 4), *range(time, time + 8)])
+            rows = rows[(headers[:, ~varies] == header[~varies]).all(axis=1)]
+            at = places[rows] + 4
+            found["connection"][rows] = gather(buffer, at + connection, _WORD)
+            found["time_ns"][rows] = _time_ns(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
+        is_tried = True
+    return found[found["connection"] >= 0], others
