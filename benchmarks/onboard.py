@@ -18,7 +18,7 @@ from insdvl_replay.core.config import Config, Filter, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, SolutionColumns
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
-from insdvl_replay.logs.columns.solutions import no_covariances
+from insdvl_replay.logs.columns.reference import no_covariances
 from insdvl_replay.nav.levelling import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
-from insdvl_replay.logs.columns.cleaning import Cleaner
+from insdvl_replay.logs.columns.clean import Cleaner
 from insdvl_replay.logs.columns.tables import Table
-from insdvl_replay.logs.columns.topic_requirements import Source
+from insdvl_replay.logs.columns.topics import Source
 
 
 def small_table(stamps_s: Sequence[float], log_times_s: Sequence[float] | None = None) -> Table:

@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.logs.writing.writer import BASE_LINK, NED, ODOM, solution, stamped, write_log, xyz
+from insdvl_replay.logs.mcap_writer import BASE_LINK, NED, ODOM, components, stamped, write_log
+from insdvl_replay.logs.write import solution
 
 ENU_OF_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = Rotation.from_euler("x", 180.0, degrees=True)
@@ -69,9 +70,9 @@ def write_odometry(
     velocity_b = attitude.inv().apply(ENU_OF_NED.apply(told.velocity_n))
     columns: dict[str, Any] = {
         "child_frame_id": BASE_LINK,
-        **xyz("pose.pose.position", ENU_OF_NED.apply(told.way_n)),
+        **components("pose.pose.position", ENU_OF_NED.apply(told.way_n)),
         **{f"pose.pose.orientation.{axis}": quat[:, i] for i, axis in enumerate("xyzw")},
-        **xyz("twist.twist.linear", velocity_b),
+        **components("twist.twist.linear", velocity_b),
         **{field: cov.reshape(len(quat), 36) for field, cov in (covariances or {}).items()},
     }
     write_log(path, [stamped(topic, "nav_msgs/msg/Odometry", told.time_ns, ODOM, columns)], {})

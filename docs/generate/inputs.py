@@ -4,21 +4,12 @@ from collections.abc import Iterable
 
 from written import PROJECT, markdown_table, renewed
 
-from insdvl_replay.logs.columns import known_dvls, known_sensors, known_types
-from insdvl_replay.logs.columns.known_types import LOG_TIME, KnownType, Types
-from insdvl_replay.logs.container.other_formats import OTHER_FORMATS
-from insdvl_replay.logs.encoding.fields import ENCODINGS
+from insdvl_replay.logs.columns.known_types import LOG_TIME, TYPES, KnownType, Types
+from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
+from insdvl_replay.logs.formats.fields import ENCODINGS
+from insdvl_replay.logs.formats.recording import OTHER_FORMATS
 
 PAGE = PROJECT / "docs" / "inputs.md"
-
-
-def _names(known: Types) -> dict[str, list[str]]:
-    """Types that are read alike, under the name of the first of them."""
-    alike: dict[str, list[str]] = {}
-    for name, entry in known.items():
-        first = next((other for other in alike if known[other] is entry), name)
-        alike.setdefault(first, []).append(name)
-    return alike
 
 
 def _stamp(entry: KnownType) -> str:
@@ -28,9 +19,8 @@ def _stamp(entry: KnownType) -> str:
 
 
 def _rows(known: Types) -> Iterable[tuple[str, str, str, str]]:
-    for first, names in _names(known).items():
-        entry = known[first]
-        yield "<br>".join(f"`{name}`" for name in names), _gives(entry), _stamp(entry), entry.about
+    for entry in {id(entry): entry for entry in known.values()}.values():
+        yield "<br>".join(f"`{name}`" for name in entry.names), _gives(entry), _stamp(entry), entry.about
 
 
 def _gives(entry: KnownType) -> str:
@@ -51,9 +41,9 @@ def _gives(entry: KnownType) -> str:
     return ", ".join(word for word in found if word != "samples" or "increments" not in found)
 
 
-def _types(*groups: Types) -> str:
+def _types(*groups: str) -> str:
     return markdown_table(
-        ("type", "gives", "stamp", "what is to be known"), [row for known in groups for row in _rows(known)]
+        ("type", "gives", "stamp", "what is to be known"), [row for group in groups for row in _rows(TYPES[group])]
     )
 
 
@@ -61,8 +51,8 @@ def _sensors() -> str:
     """The types of each sensor beside IMU and DVL, those last that have to be named."""
     rows = [
         (types, f"{name}, attitude" if gives == "attitude" else name, stamp, about)
-        for name, groups in known_sensors.TYPES.items()
-        for known in (*groups, known_sensors.TYPES_IF_NAMED.get(name, {}))
+        for name, held in SENSOR_TOPICS.items()
+        for known in (*held.types, held.if_named)
         for types, gives, stamp, about in _rows(known)
     ]
     return markdown_table(("type", "gives", "stamp", "what is to be known"), rows)
@@ -80,16 +70,9 @@ PARTS = {
             for name, kinds in ENCODINGS.items()
         ],
     ),
-    "imu": lambda: _types(known_types.IMU, known_types.IMU_OF_DRIVERS),
-    "dvl": lambda: _types(known_dvls.DVL_BEAMS, known_dvls.DVL_VELOCITY, known_dvls.DVL_IF_NAMED),
-    "reference": lambda: _types(
-        known_types.NAV_SOLUTION,
-        known_types.ODOMETRY,
-        known_types.FIX,
-        known_types.EXTENDED_FIX,
-        known_types.POSES,
-        known_types.TRUTH,
-    ),
+    "imu": lambda: _types("imu", "imu_of_drivers"),
+    "dvl": lambda: _types("dvl_beams", "dvl_velocity", "dvl_if_named"),
+    "reference": lambda: _types("nav_solution", "odometry", "fix", "extended_fix", "poses", "truth"),
     "sensors": _sensors,
     "others": lambda: markdown_table(
         ("file", "endings", "the step that helps"),

@@ -1,4 +1,5 @@
-"""Whether the columns of a dive can be what its log says; files are never touched here.
+"""Whether the columns of a dive can be what its log says; no file is read here.
 
-`plausibility` asks everybody: `imu`, `dvl` and `reference` look at one sensor each, beside what others say of it.
+`imu` and `dvl` look at one instrument each, `reference` compares them with the reference, `sensors` looks at the rest.
+An error ends the work where the tables would be wrong; a warning says what may be wrong. Both name the key that helps.
 """

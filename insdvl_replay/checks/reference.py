@@ -1,171 +1,192 @@
-"""Whether a reference can be what its log says: it moves where the sensors do, and is somewhere on Earth."""
+"""Whether a reference can be what its log says, and what it shows about gyros and DVL; all checks together.
 
-from functools import partial
+Where a reference has positions alone, they are compared with the track that gyros and DVL make together.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.dvl import median_speed_mps
-from insdvl_replay.checks.imu import LONGEST_STEP_S, Check, lies_within, turned_by
+from insdvl_replay.checks.dvl import (
+    COHERENT,
+    INCOHERENT,
+    SCALE_DOUBT,
+    TrackFit,
+    dvl_remarks,
+    median_speed_mps,
+    scale_remarks,
+    track_by_positions,
+)
+from insdvl_replay.checks.imu import (
+    AXES,
+    ENOUGH,
+    LONGEST_STEP_S,
+    AttitudeFit,
+    Remark,
+    gyro_by_attitude,
+    gyro_by_gravity,
+    imu_remarks,
+    lies_within,
+    turned_by,
+    warning,
+)
+from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
-from insdvl_replay.core.errors import Note
+from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
-from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
-from insdvl_replay.geometry.rotation import vector_from_mat
+from insdvl_replay.geometry.rotation import vector_from_mat, wrap_angle
 
-_LEG_S: Final = 10.0
-"""Over so long a leg, single positions of a receiver are good enough to give a direction."""
-_LEGS: Final = 4
-_LEAST_M: Final = 20.0
-_FOLLOWS: Final = 0.8
-_LEGS_OF_SCALE: Final = 10  # fewer do not tell how they scatter
-_SCALE_OFF: Final = 0.003
-_SIGNIFICANT: Final = 3.0
-
-_JUMP_M: Final = 2.0
-_JUMP_RAD: Final = 5.0 * DEG
-_CURVED_S: Final = 1.5  # in longer steps a turning vehicle turns unlike in the ones around
+UNIT_WRONG: Final = 5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
+TRACK_DOUBT: Final = 0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
 
 
-def motion_checks(imu: ImuColumns, reference: ReferenceColumns) -> tuple[Check, ...]:
-    """List what has to be looked at in the motion of a reference."""
-    return (
-        partial(_scale_notes, reference),
-        partial(_position_jump_notes, reference),
-        partial(_attitude_jump_notes, imu, reference),
-    )
+@dataclass(frozen=True)
+class GyroScale:
+    """How the gyros compare with another source: measured over true, and the factor up to which it is in order."""
+
+    scale: float
+    by: str
+    tolerance: float
+
+    @property
+    def off(self) -> float:
+        """Factor by which the scale is off, 1 or more; infinite where the sign is wrong."""
+        return max(self.scale, 1.0 / self.scale) if self.scale > 0.0 else np.inf
 
 
-def _scale_notes(reference: ReferenceColumns) -> list[Note]:
-    """Compare displacements by positions with those by velocity, over legs."""
-    by_position_m, by_velocity_m = _legs(steps_of(reference))
-    if len(by_position_m) < _LEGS or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < _LEAST_M:
-        return []
-    count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
-    power, product = float(np.vdot(by_velocity_m, by_velocity_m).real), np.vdot(by_velocity_m, by_position_m).real
-    coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
-    if coherence < _FOLLOWS:
+def plausibility_remarks(
+    place: str, imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> Iterator[Remark]:
+    """Check IMU, DVL and reference; the place is the file in messages to the user."""
+    by_attitude, track = _comparisons(imu, dvl, reference, config)
+    yield from imu_remarks(place, imu, reference, config.imu)
+    yield from _gyro_remarks(place, imu, by_attitude, _best_scale(imu, by_attitude, track), config.imu)
+    yield from dvl_remarks(place, dvl, reference, config)
+    if reference is not None:
+        yield from reference_notes(imu, dvl, reference)
+    if track is not None:
+        yield from _track_remarks(place, track, dvl, config)
+
+
+def plausibility_notes(
+    place: str, imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> tuple[Note, ...]:
+    """Run all checks; raise the first error."""
+    notes = []
+    for remark in plausibility_remarks(place, imu, dvl, reference, config):
+        if isinstance(remark, LogError):
+            raise remark
+        notes.append(remark)
+    return tuple(notes)
+
+
+def gyro_scale(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> GyroScale | None:
+    """Compare the gyros with the best source of their scale; None where the vehicle moved too little."""
+    return _best_scale(imu, *_comparisons(imu, dvl, reference, config))
+
+
+def _comparisons(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config
+) -> tuple[AttitudeFit | None, TrackFit | None]:
+    if reference is None:
+        return None, None
+    complete = reference.has_attitude and reference.has_velocity
+    track = None if complete else track_by_positions(imu, dvl, reference, config)
+    return gyro_by_attitude(imu, reference), track
+
+
+def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None) -> GyroScale | None:
+    if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
+        return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + SCALE_DOUBT)
+    if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
+        return GyroScale(track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + TRACK_DOUBT)
+    # In a moving vehicle, the direction of gravity swings with its own acceleration.
+    by_gravity = gyro_by_gravity(imu)
+    return GyroScale(by_gravity, "the swing of gravity", 1.7) if by_gravity is not None else None
+
+
+def _gyro_remarks(
+    place: str, imu: ImuColumns, by_attitude: AttitudeFit | None, found: GyroScale | None, settings: Imu
+) -> Iterator[Remark]:
+    count = len(imu.time_ns)
+    if found is not None and found.off >= found.tolerance:
+        text = f"the angular rate is {found.scale:.3g} times what {found.by} shows, from 0 s on"
+        if found.scale < 0.0:
+            hint = 'imu.axes = "flu" turns y and z, and imu.specific_force_axes names those of the force where they '
+            yield warning("imu_gyro_sign", text, count, f"{hint}differ")
+        elif found.off > UNIT_WRONG:
+            yield LogError(text, f'imu.angular_rate_unit = "{"deg/s" if found.scale > 1.0 else "rad/s"}"', place)
+        else:
+            hint = f"imu.angular_rate_scale = {found.scale * settings.angular_rate_scale:.3g}"
+            yield warning("imu_gyro_scale", text, count, hint)
+    if by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG:  # attitudes that swing less say nothing
+        return
+    known = by_attitude.excursion >= 3.0 * DEG
+    if abs(by_attitude.correlation) < INCOHERENT:
         text = (
-            "the positions of the reference do not move as its velocity says, from the first on "
-            f"(coherence {coherence:.2f})"
+            "the angular rate does not follow the change of the reference's attitude, from 0 s on "
+            f"(correlation {by_attitude.correlation:.2f})"
         )
-        hint = "reference.axes, reference.angle_unit, or the fields reference.latitude, longitude and velocity_n"
-        return [Note("reference_contradiction", text, count, Severity.WARNING, hint)]
-    # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
-    scale, at_most = float(product / power), float(np.vdot(by_position_m, by_position_m).real / product)
-    # Each leg's own residual stands for its noise, whatever its length.
-    scale_sd = float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real)) / power
-    off, surely_off = abs(scale - 1.0), max(scale - 1.0, 1.0 - at_most)
-    if len(by_position_m) < _LEGS_OF_SCALE or surely_off < max(_SCALE_OFF, _SIGNIFICANT * scale_sd):
-        return []
-    text = (
-        f"the positions of the reference go {100.0 * off:.2f} +- {100.0 * scale_sd:.2f} % "
-        f"{'further' if scale > 1.0 else 'less far'} than its velocity says; it cannot be right in both"
-    )
-    hint = "a DVL whose dvl.scale fits the one fails the other"
-    return [Note("reference_scale", text, len(by_position_m), Severity.WARNING, hint)]
+        hint = "imu.axes, reference.axes, or imu.stamp and reference.stamp"
+        yield warning("imu_gyro_contradiction", text, count, hint)
+    elif np.any(known & (by_attitude.by_axis > 0.7)):
+        # Axes that turn the other way while another one follows.
+        for axis in np.flatnonzero(known & (by_attitude.by_axis < -0.7)).tolist():
+            text = (
+                f"the angular rate {AXES[axis]} turns against the reference's attitude, from 0 s on "
+                f"(correlation {by_attitude.by_axis[axis]:.2f}), while another axis follows it"
+            )
+            hint = "imu.axes, or imu.angular_rate names the fields in another order"
+            yield warning("imu_gyro_axis", text, count, hint)
 
 
-def velocity_misfit(reference: ReferenceColumns) -> float | None:
-    """Return by which part of the way its velocity and its positions differ over legs; None where they tell nothing."""
-    by_position_m, by_velocity_m = _legs(steps_of(reference))
-    way_m = float(np.linalg.norm(by_position_m))
-    if len(by_position_m) < _LEGS or np.abs(by_position_m).sum() < _LEAST_M:
-        return None
-    return float(np.linalg.norm(by_velocity_m - by_position_m)) / way_m
+def _track_remarks(place: str, track: TrackFit, dvl: DvlColumns, config: Config) -> Iterator[Remark]:
+    if track.coherence < INCOHERENT:
+        text = (
+            "the track of gyros and DVL does not follow the reference's positions, "
+            f"whatever the heading and the scales, from the first ping on (coherence {track.coherence:.2f})"
+        )
+        hint = "initial.gyro_bias_degph, imu.axes, dvl.mounting_rpy_deg, or another imu.topic"
+        yield warning("track_contradiction", text, len(dvl.time_ns), hint)
+    if track.coherence < COHERENT:
+        return
+    yield from scale_remarks(place, track.dvl_scale, dvl, config)
+    heading_deg = config.initial.heading_deg
+    if not isinstance(heading_deg, float | int):
+        return
+    # Gyro bias turns a track by less during a dive.
+    if abs(float(wrap_angle(np.asarray(heading_deg * DEG - track.heading)))) > 30.0 * DEG:
+        text = (
+            f"the DVL's track fits the reference's positions with a heading of {track.heading / DEG:.0f} deg at the "
+            f"start, and {heading_deg:g} deg are configured, from the first ping on"
+        )
+        hint = f"initial.heading_deg = {track.heading / DEG:.0f}, or dvl.mounting_rpy_deg where the heading is known"
+        yield warning("dvl_direction", text, len(dvl.time_ns), hint)
 
 
-def _legs(steps: Steps) -> tuple[Complex, Complex]:
-    """Add steps up to legs, of which each has to be known whole and not much longer than it is meant to be."""
-    if not len(steps.time_s):
-        return steps.by_position_m, steps.by_velocity_m
-    # Each leg begins with the first row at or behind a multiple of its length, of which the last row ends one.
-    legs = np.floor(steps.time_s / _LEG_S)
-    legs[-1] = np.ceil(steps.time_s[-1] / _LEG_S) - 1.0
-    rows = np.append(0, np.flatnonzero(np.diff(legs) > 0.0) + 1)
-    by_position_m, by_velocity_m = (
-        np.diff(np.append(0.0, np.cumsum(way_m))[rows])
-        for way_m in (steps.by_position_m, np.nan_to_num(steps.by_velocity_m))
-    )
-    unknown = np.diff(np.append(0, np.cumsum(~np.isfinite(steps.by_velocity_m)))[rows])
-    whole = (unknown == 0) & (np.diff(steps.time_s[rows]) < 2.0 * _LEG_S)
-    return by_position_m[whole], by_velocity_m[whole]
-
-
-def _position_jump_notes(reference: ReferenceColumns) -> list[Note]:
-    """Find steps that neither the velocity nor any of the steps around explains."""
+def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:
+    """Check a reference."""
+    yield from _constant_notes(imu, dvl, reference)
+    yield from _scale_notes(reference)
+    # Steps of the positions that neither the velocity nor any of the steps around explains.
     steps = steps_of(reference)
-    unlike_m = unexplained_m(steps)
-    return _jump_notes("positions", unlike_m, _JUMP_M, "m", 1.0, steps.time_s)
-
-
-def _attitude_jump_notes(imu: ImuColumns, reference: ReferenceColumns) -> list[Note]:
-    """Find turns from row to row that the gyros do not show, and that are no error of gyros.
-
-    Such an error is in the steps around, too, and is smaller than what they show.
-    """
+    yield from _jump_notes("positions", unexplained_m(steps), 2.0, "m", 1.0, steps.time_s)
+    # Turns that the gyros do not show. An error of the gyros is in the steps around, too, and is smaller than they are.
     rows = np.flatnonzero(reference.known["attitudes"] & lies_within(reference.time_ns, imu.time_ns))
     if len(rows) <= 2 * AROUND + 1:
-        return []
+        return
     time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
-    step_s = np.diff(time_s)
     shown = np.diff(turned_by(imu, time_s), axis=0)
     unseen = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]) - shown
     unlike = np.fmin(np.linalg.norm(unseen, axis=1), least_difference(unseen))
-    unlike[step_s > _CURVED_S] = np.nan
-    smallest = np.maximum(_JUMP_RAD, np.linalg.norm(shown, axis=1))
-    return _jump_notes("attitudes", unlike, smallest, "deg", DEG, time_s - time_s[0])
-
-
-def _jump_notes(
-    quantity: str, unlike: Floats, smallest: float | Floats, unit: str, factor: float, time_s: Floats
-) -> list[Note]:
-    jumps = find_jumps(unlike, smallest)
-    if not jumps.size:
-        return []
-    largest = int(jumps[np.argmax(unlike[jumps])])
-    text = (
-        f"the {quantity} of the reference jump in {jumps.size} of {len(unlike)} steps, the most by "
-        f"{unlike[largest] / factor:.1f} {unit} at {time_s[largest + 1]:.1f} s after the first"
-    )
-    hint = "--start and --end choose a part without jumps, which count as errors of the filters"
-    return [Note("reference_jump", text, int(jumps.size), Severity.WARNING, hint)]
-
-
-MOVING_MPS: Final = 0.1
-"""What a DVL measures in the median while a vehicle moves, beyond its noise."""
-TURNED: Final = 30.0 * DEG
-"""What gyros add up to while a vehicle turns, beyond their bias and Earth's rate."""
-
-_ENOUGH: Final = 20
-
-
-def reference_checks(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> tuple[Check, ...]:
-    """List what has to be looked at in a reference."""
-    return (partial(_constant_notes, imu, dvl, reference), *motion_checks(imu, reference))
-
-
-def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> list[Note]:
-    found = []
-    if median_speed_mps(dvl) > MOVING_MPS:
-        # A velocity may be constant, but not zero.
-        velocities = reference.velocity_n[reference.known["velocities"]]
-        resting = len(velocities) > 0 and not velocities.any()
-        still = {"position": _is_constant(reference.position[:, :2]), "velocity": resting}
-        found += [(name, "the DVL measures a speed") for name, stands in still.items() if stands]
-    if _is_constant(reference.mat_nb.reshape(-1, 9)) and _turns(imu):
-        found.append(("attitude", "the gyros show turns"))
-    return [
-        Note(
-            "reference_constant",
-            f"the {name} of the reference is the same in all its rows, from the first on, while {doing}",
-            len(reference.time_ns),
-            Severity.WARNING,
-            "reference.topic and reference.fix name others",
-        )
-        for name, doing in found
-    ]
+    unlike[np.diff(time_s) > 1.5] = np.nan  # in longer steps a turning vehicle turns unlike in the ones around
+    smallest = np.maximum(5.0 * DEG, np.linalg.norm(shown, axis=1))
+    yield from _jump_notes("attitudes", unlike, smallest, "deg", DEG, time_s - time_s[0])
 
 
 def says_anything(reference: ReferenceColumns) -> bool:
@@ -173,11 +194,95 @@ def says_anything(reference: ReferenceColumns) -> bool:
     return reference.has_attitude or reference.has_position or bool(np.nan_to_num(reference.velocity_n).any())
 
 
+def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:
+    found = []
+    if median_speed_mps(dvl) > 0.1:  # beyond its noise
+        doing = "the DVL measures a speed"
+        # A velocity may be constant, but not zero.
+        velocities = reference.velocity_n[reference.known["velocities"]]
+        found += [("position", doing)] if _is_constant(reference.position[:, :2]) else []
+        found += [("velocity", doing)] if len(velocities) and not velocities.any() else []
+    if _is_constant(reference.mat_nb.reshape(-1, 9)):
+        turned = turned_by(imu, seconds(imu.time_ns, imu.time_ns[0]), LONGEST_STEP_S)
+        if np.ptp(turned, axis=0).max() > 30.0 * DEG:  # beyond the gyros' bias and Earth's rate
+            found.append(("attitude", "the gyros show turns"))
+    for name, doing in found:
+        text = f"the {name} of the reference is the same in all its rows, from the first on, while {doing}"
+        hint = "reference.topic and reference.fix name others"
+        yield warning("reference_constant", text, len(reference.time_ns), hint)
+
+
 def _is_constant(rows: Floats) -> bool:
     given = rows[np.isfinite(rows).all(axis=1)]
-    return len(given) >= _ENOUGH and bool((given == given[0]).all())
+    return len(given) >= ENOUGH and bool((given == given[0]).all())
 
 
-def _turns(imu: ImuColumns) -> bool:
-    at_s = seconds(imu.time_ns, imu.time_ns[0])
-    return bool(np.ptp(turned_by(imu, at_s, LONGEST_STEP_S), axis=0).max() > TURNED)
+def legs_m(steps: Steps) -> tuple[Complex, Complex]:
+    """Sum steps by positions and by velocity to legs of ten seconds, of which those that are whole are returned.
+
+    Over such a leg, single positions of a receiver are good enough for a direction.
+    """
+    if not len(steps.time_s):
+        return steps.by_position_m, steps.by_velocity_m
+    # Each leg begins with the first row at or behind a multiple of its length, of which the last row ends one.
+    legs = np.floor(steps.time_s / 10.0)
+    legs[-1] = np.ceil(steps.time_s[-1] / 10.0) - 1.0
+    rows = np.append(0, np.flatnonzero(np.diff(legs) > 0.0) + 1)
+    by_position_m, by_velocity_m = (
+        np.diff(np.append(0.0, np.cumsum(way_m))[rows])
+        for way_m in (steps.by_position_m, np.nan_to_num(steps.by_velocity_m))
+    )
+    unknown = np.diff(np.append(0, np.cumsum(~np.isfinite(steps.by_velocity_m)))[rows])
+    whole = (unknown == 0) & (np.diff(steps.time_s[rows]) < 20.0)
+    return by_position_m[whole], by_velocity_m[whole]
+
+
+def velocity_misfit(reference: ReferenceColumns) -> float | None:
+    """Return the share of the way by which velocity and positions differ over legs; None where they tell nothing."""
+    by_position_m, by_velocity_m = legs_m(steps_of(reference))
+    if len(by_position_m) < 4 or np.abs(by_position_m).sum() < 20.0:
+        return None
+    return float(np.linalg.norm(by_velocity_m - by_position_m)) / float(np.linalg.norm(by_position_m))
+
+
+def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
+    """Compare displacements by positions with those by velocity, over legs."""
+    by_position_m, by_velocity_m = legs_m(steps_of(reference))
+    if len(by_position_m) < 4 or min(np.abs(by_position_m).sum(), np.abs(by_velocity_m).sum()) < 20.0:
+        return
+    power, product = float(np.vdot(by_velocity_m, by_velocity_m).real), np.vdot(by_velocity_m, by_position_m).real
+    coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
+    if coherence < 0.8:
+        count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
+        text = (
+            "the positions of the reference do not move as its velocity says, from the first on "
+            f"(coherence {coherence:.2f})"
+        )
+        hint = "reference.axes, reference.angle_unit, or the fields reference.latitude, longitude and velocity_n"
+        yield warning("reference_contradiction", text, count, hint)
+        return
+    # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
+    scale, at_most = float(product / power), float(np.vdot(by_position_m, by_position_m).real / product)
+    # Each leg's own residual stands for its noise, whatever its length.
+    scale_sd = float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real)) / power
+    # Fewer than ten legs do not tell how they scatter.
+    if len(by_position_m) >= 10 and max(scale - 1.0, 1.0 - at_most) >= max(0.003, 3.0 * scale_sd):
+        text = (
+            f"the positions of the reference go {100.0 * abs(scale - 1.0):.2f} +- {100.0 * scale_sd:.2f} % "
+            f"{'further' if scale > 1.0 else 'less far'} than its velocity says; it cannot be right in both"
+        )
+        yield warning("reference_scale", text, len(by_position_m), "a DVL whose dvl.scale fits the one fails the other")
+
+
+def _jump_notes(
+    quantity: str, unlike: Floats, smallest: float | Floats, unit: str, factor: float, time_s: Floats
+) -> Iterator[Note]:
+    jumps = find_jumps(unlike, smallest)
+    if jumps.size:
+        largest = int(jumps[np.argmax(unlike[jumps])])
+        text = (
+            f"the {quantity} of the reference jump in {jumps.size} of {len(unlike)} steps, the most by "
+            f"{unlike[largest] / factor:.1f} {unit} at {time_s[largest + 1]:.1f} s after the first"
+        )
+        hint = "--start and --end choose a part without jumps, which count as errors of the filters"
+        yield warning("reference_jump", text, int(jumps.size), hint)

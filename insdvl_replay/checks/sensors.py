@@ -1,273 +1,274 @@
-"""Whether a sensor tells anything: one that is stuck does not, nor does one whose readings the reference is made of.
+"""Whether the other sensors and the onboard solutions tell anything of their own, in the units of the settings.
 
-One in another unit or other axes than its settings say tells what is not so.
+A sensor that is stuck tells nothing, nor does one whose readings the reference is made of.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from insdvl_replay.checks.instants import same_instants
+from insdvl_replay.checks.imu import warning
 from insdvl_replay.core.config import Config, Depth
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, ReferenceColumns, SensorColumns, nanoseconds
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Floats,
+    ReferenceColumns,
+    SensorColumns,
+    SolutionColumns,
+    TimeNs,
+    nanoseconds,
+)
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.states import DEG
-from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 
-OWN_SHARE: Final = 0.5
-"""Of a sensor's readings; so many are in the reference by no accident."""
-SAME_RAD, SAME_M = 1e-9, 1e-3
-"""Readings that differ by less came from one message: 6 mm of latitude, a millimetre of depth."""
+_OWN_SHARE: Final = 0.5  # so many of a sensor's readings are in the reference by no accident
+_SAME_RAD: Final = 1e-9  # readings that differ by less come from one message: 6 mm of latitude
+_FEWEST_ALIKE: Final = 20
+_ZERO_HINT: Final = "depth.surface_height_m, of depth 0 above the ellipsoid, or leave it out"
 
-ZERO_HINT: Final = "depth.surface_height_m, of depth 0 above the ellipsoid, or leave it out"
+Mask = NDArray[np.bool_]
 
-FEWEST_ALIKE, ALIKE_S = 20, 30.0
-"""So many readings over so long are never the same down to the last digit where a sensor and a vehicle are at work."""
 
-NEAR_S: Final = 0.5
-"""A reading is held against what the reference says no further from it."""
-HEADING_OFF, HEADING_SPREAD = 5.0 * DEG, 20.0 * DEG
-"""No AHRS errs by more in the mean, and no compass that is turned to true north scatters so."""
-DEPTH_RANGE_M, DEPTH_FOLLOWS, DEPTH_SCALE = 1.0, 0.9, 1.25
-"""How far a vehicle has to dive for its depths to be compared, how well they have to follow, and a factor that no
-density makes: feet are 3.3 times metres."""
-DEPTH_OFF_M, DEPTH_OFF_SHARE, DEPTH_OFF_SDS = 2.0, 0.03, 5.0
-"""What swell and air pressure do not make of a depth whose zero is told; what fresh water makes of it, as a share; and
-by how many standard deviations of both it differs from the height at the start by no accident."""
-SINKING_MPS: Final = 2.0
-"""No vehicle goes down faster until its first reading."""
-FILTER_RANGE_M, FILTER_SCALE = 2.0, 2.0
-"""The same where depths are held against a filter's height, which drifts."""
+def same_instants(
+    ours_ns: TimeNs, theirs_ns: TimeNs, latency_s: float = 0.0
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pair rows whose times differ by what most of them do, which may be up to half a step of theirs.
+
+    The latency is what was taken off our times, less what was taken off theirs.
+    """
+    if not len(ours_ns) or not len(theirs_ns):
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    ours_ns = ours_ns + nanoseconds(latency_s)
+    nearest = _nearest(ours_ns, theirs_ns)
+    apart_ns = ours_ns - theirs_ns[nearest]
+    # A file of seconds since 1970 holds microseconds.
+    ours = np.flatnonzero(np.abs(apart_ns - int(np.median(apart_ns))) <= 2_000)
+    return ours, nearest[ours]
+
+
+def _nearest(ours_ns: TimeNs, theirs_ns: TimeNs) -> NDArray[np.intp]:
+    """Return the row of theirs that is nearest to each of our times."""
+    after = np.minimum(np.searchsorted(theirs_ns, ours_ns), len(theirs_ns) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(theirs_ns[before] - ours_ns) < np.abs(theirs_ns[after] - ours_ns), before, after)
+
+
+def _rows(motion: ReferenceColumns, rows: NDArray[np.intp]) -> ReferenceColumns:
+    return ReferenceColumns(motion.time_ns[rows], motion.position[rows], motion.velocity_n[rows], motion.mat_nb[rows])
 
 
 def sensor_notes(
     sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, config: Config
 ) -> tuple[Note, ...]:
     """Note the sensors that are stuck, and those whose readings, with the latencies put back, are the reference's."""
-    owned = () if reference is None else _of_reference(sensors, reference, config)
-    return (*_stuck(sensors), *owned)
-
-
-def _stuck(sensors: Mapping[str, SensorColumns]) -> Iterator[Note]:
+    notes = []
     for name, columns in sensors.items():
         count, span_s = len(columns.time_ns), (int(columns.time_ns[-1]) - int(columns.time_ns[0])) / NS_PER_S
-        if count >= FEWEST_ALIKE and span_s >= ALIKE_S and _all_alike(columns.values):
+        alike = np.array_equal(columns.values, np.broadcast_to(columns.values[0], columns.values.shape), equal_nan=True)
+        if count >= _FEWEST_ALIKE and span_s >= 30.0 and alike:  # no working sensor repeats a reading for so long
             text = (
                 f"all {count} readings of the {name} are the same, over {span_s:.0f} s: it is stuck, not connected, or "
                 "too coarse for how little the vehicle moves"
             )
-            yield Note(f"{name}_stuck", text, count, Severity.WARNING, f"{name}.topic names another one")
-
-
-def _all_alike(values: Floats) -> bool:
-    """Return whether all rows are the first, where NaN, as of a height that no fix has, is the same as NaN."""
-    return np.array_equal(values, np.broadcast_to(values[0], values.shape), equal_nan=True)
-
-
-def _of_reference(sensors: Mapping[str, SensorColumns], reference: ReferenceColumns, config: Config) -> Iterator[Note]:
-    for name, columns in ((name, columns) for name, columns in sensors.items() if name in _SAME):
+            notes.append(warning(f"{name}_stuck", text, count, f"{name}.topic names another one"))
+    for name, columns in sensors.items():
+        if reference is None or name not in ("depth", "heading", "position"):
+            continue
         latency_s = getattr(config, name).latency_s - config.reference.latency_s
         ours, theirs = same_instants(columns.time_ns, reference.time_ns, latency_s)
         with np.errstate(invalid="ignore"):
-            same = _SAME[name](columns.values[ours], reference.rows(np.isin(np.arange(len(reference.time_ns)), theirs)))
-        if (count := int(same.sum())) > OWN_SHARE * len(columns.time_ns):
+            same = _same_reading(name, columns.values[ours], _rows(reference, theirs))
+        if (count := int(same.sum())) > _OWN_SHARE * len(columns.time_ns):
             text = f"{count} of {len(columns.time_ns)} readings of the {name} are the reference's own"
             hint = f'evaluation.withheld = ["{name}"] judges by them; filters aided by them need another reference'
-            yield Note(f"{name}{IS_REFERENCE}", text, count, Severity.WARNING, hint)
+            notes.append(warning(f"{name}{IS_REFERENCE}", text, count, hint))
+    return tuple(notes)
 
 
-def _same_position(values: Floats, reference: ReferenceColumns) -> Floats:
-    return np.asarray((np.abs(values[:, :2] - reference.position[:, :2]) < SAME_RAD).all(axis=1))
+def _same_reading(name: str, values: Floats, reference: ReferenceColumns) -> Mask:
+    """Find the readings that are the reference's, or of a depth, whose zero is its own, the changes."""
+    if name == "depth":
+        ours_m, theirs_m = np.diff(values[:, 0]), -np.diff(reference.position[:, 2])
+        return np.asarray((np.abs(ours_m - theirs_m) < 1e-3) & (np.abs(ours_m) > 1e-3))
+    if name == "heading":
+        return np.asarray(np.abs(wrap_angle(values[:, 0] - rpy_from_mat(reference.mat_nb)[:, 2])) < _SAME_RAD)
+    return np.asarray((np.abs(values[:, :2] - reference.position[:, :2]) < _SAME_RAD).all(axis=1))
 
 
-def _same_depth(values: Floats, reference: ReferenceColumns) -> Floats:
-    """Compare how the two change: the gauge has a zero of its own."""
-    ours_m, theirs_m = np.diff(values[:, 0]), -np.diff(reference.position[:, 2])
-    return np.asarray((np.abs(ours_m - theirs_m) < SAME_M) & (np.abs(ours_m) > SAME_M))
+def solution_notes(
+    solutions: Mapping[str, SolutionColumns], reference: ReferenceColumns | None, config: Config
+) -> tuple[Note, ...]:
+    """Note the onboard solutions that are the reference itself, with the latencies put back."""
+    if reference is None:
+        return ()
+    notes = []
+    for name, solution in solutions.items():
+        latency_s = config.solutions[name].latency_s - config.reference.latency_s
+        ours, theirs = same_instants(solution.motion.time_ns, reference.time_ns, latency_s)
+        found = {
+            quantity: int(_same_rows(getattr(solution.motion, field)[ours], getattr(reference, field)[theirs], least))
+            for quantity, field, least in (
+                ("attitudes", "mat_nb", 1e-7),
+                ("velocities", "velocity_n", 1e-7),
+                ("positions", "position", _SAME_RAD),
+            )
+        }
+        if solution.way_n is not None:
+            # Of positions in metres, whose origin is not known, displacements of ten seconds; at rest all are the same.
+            time_ns, way_n, position = solution.motion.time_ns[ours], solution.way_n[ours], reference.position[theirs]
+            later = np.searchsorted(time_ns, time_ns + 10 * NS_PER_S)
+            earlier = np.flatnonzero(later < len(time_ns))
+            later = later[earlier]
+            ours_m = (way_n[later] - way_n[earlier])[:, :2]
+            theirs_m = north_east_down_m(position[later], position[earlier])[:, :2]
+            apart_m, far_m = (np.linalg.norm(rows, axis=1) for rows in (ours_m - theirs_m, theirs_m))
+            found["ways"] = int(np.count_nonzero((apart_m < 1e-3) & (far_m > 0.1)))
+        quantity, count = max(found.items(), key=lambda item: item[1])
+        if count > max(_OWN_SHARE * len(solution.motion.time_ns), 10):
+            text = (
+                f"{count} of {len(solution.motion.time_ns)} {quantity} of filters.{name}.solution are the reference's"
+            )
+            hint = "reference.topic and reference.fix name what it is to be judged by"
+            notes.append(warning(f"solution_{name}{IS_REFERENCE}", text, count, hint))
+    return tuple(notes)
 
 
-def _same_heading(values: Floats, reference: ReferenceColumns) -> Floats:
-    return np.asarray(np.abs(wrap_angle(values[:, 0] - rpy_from_mat(reference.mat_nb)[:, 2])) < SAME_RAD)
-
-
-_SAME: Final[dict[str, Callable[[Floats, ReferenceColumns], Floats]]] = {
-    "depth": _same_depth,
-    "heading": _same_heading,
-    "position": _same_position,
-}
+def _same_rows(ours: Floats, theirs: Floats, least: float) -> int:
+    """Count the rows that are the same and not zero; at rest all velocities are. Of positions two components count."""
+    ours, theirs = (rows[:, :2] if least == _SAME_RAD else rows.reshape(len(rows), -1) for rows in (ours, theirs))
+    apart, size = (np.abs(rows).max(axis=1, initial=0.0) for rows in (ours - theirs, theirs))
+    return int(np.count_nonzero((apart < least) & (size > least)))
 
 
 def contradiction_notes(
     sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, depth: Depth
 ) -> tuple[Note, ...]:
-    """Note the sensors that say something else than the reference does: in other units or axes, or from another zero.
-
-    Parameters
-    ----------
-    reference : ReferenceColumns or None
-        At the IMU, in its axes.
-    depth : Depth
-        How the gauge is set.
-    """
+    """Note the sensors that contradict the reference, which is at the IMU: in units, axes, or a zero."""
     if reference is None or not len(reference.time_ns):
         return ()
-    paired = {name: _side_by_side(columns, reference) for name, columns in sensors.items() if name in _COMPARED}
-    notes = [note for name, pair in paired.items() for note in _COMPARED[name](*pair)]
-    if "depth" in paired and not any(note.code.startswith("depth") for note in notes):
-        notes += _zero_compared(*paired["depth"], depth)
-    return tuple(notes)
-
-
-def depth_at_start_notes(
-    sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, start: ReferenceColumns, config: Config
-) -> tuple[Note, ...]:
-    """Note a gauge whose told zero contradicts the height at the start, where no reference tells heights.
-
-    Parameters
-    ----------
-    start : ReferenceColumns
-        One row.
-    """
-    told = reference is not None and bool(reference.known["heights"].any())
-    if "depth" not in sensors or told or config.depth.surface_height_m is None:
-        return ()
-    first = sensors["depth"].rows(np.arange(len(sensors["depth"].time_ns)) == 0)
-    deeper_m = _deeper_m(first.values, start, config.depth)[0]
-    late_s = (int(first.time_ns[0]) - int(start.time_ns[0])) / NS_PER_S
-    sd_m = float(np.hypot(config.depth.sd_m, config.initial.position_sd_m[2]))
-    if not abs(deeper_m) > DEPTH_OFF_M + DEPTH_OFF_SDS * sd_m + SINKING_MPS * late_s:
-        return ()
-    text = (
-        f"the first depth, {late_s:.2f} s after the start, is {_below(deeper_m)} the height at the start, "
-        f"{start.position[0, 2]:.2f} m"
-    )
-    return (_contradiction("depth", text, 1, f"{ZERO_HINT}; or initial.height_m"),)
+    depths: list[Note] = []
+    headings: list[Note] = []
+    if "heading" in sensors:
+        headings += _heading_notes(*_side_by_side(sensors["heading"], reference), "reference")
+    if "depth" in sensors:
+        values, paired = _side_by_side(sensors["depth"], reference)
+        depths += _depth_notes(values, paired, "reference", 1.0, 1.25)
+        headings += () if depths else _zero_notes(values, paired, depth)
+    return (*depths, *headings)
 
 
 def contradiction_of_filter(
     sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, baseline: History
 ) -> tuple[Note, ...]:
     """Note the sensors that do not follow a filter that is not aided by them, where the reference cannot tell."""
-    told = {
-        "heading": reference is not None and reference.has_attitude,
-        "depth": reference is not None and bool(np.isfinite(reference.position[:, 2]).any()),
-        **{innovations.measurement: True for innovations in baseline.innovations},
-    }
-    return tuple(
-        note
-        for name, columns in sensors.items()
-        if name in _OF_FILTER and not told[name]
-        for note in _OF_FILTER[name](*_side_by_side(columns, baseline.motion()))
+    compared = {innovations.measurement for innovations in baseline.innovations}
+    if reference is not None:
+        compared |= {"heading"} if reference.has_attitude else set()
+        compared |= {"depth"} if np.isfinite(reference.position[:, 2]).any() else set()
+    notes: list[Note] = []
+    for name in sorted(sensors.keys() - compared - {"position"}):
+        values, paired = _side_by_side(sensors[name], baseline.motion())
+        if name == "heading":
+            notes += _heading_notes(values, paired, "baseline")
+        else:
+            notes += _depth_notes(values, paired, "baseline", 2.0, 2.0)  # its height drifts
+    return tuple(notes)
+
+
+def depth_at_start_notes(
+    sensors: Mapping[str, SensorColumns], reference: ReferenceColumns | None, start: ReferenceColumns, config: Config
+) -> tuple[Note, ...]:
+    """Note a depth whose configured zero contradicts the height at the start, one row, if no reference has heights."""
+    known = reference is not None and bool(reference.known["heights"].any())
+    if "depth" not in sensors or known or config.depth.surface_height_m is None:
+        return ()
+    first = sensors["depth"].rows(np.arange(len(sensors["depth"].time_ns)) == 0)
+    deeper_m = _deeper_m(first.values, start, config.depth)[0]
+    late_s = (int(first.time_ns[0]) - int(start.time_ns[0])) / NS_PER_S
+    sd_m = float(np.hypot(config.depth.sd_m, config.initial.position_sd_m[2]))
+    # Swell and air pressure, standard deviations of both, and the fastest dive until the first reading.
+    if not abs(deeper_m) > 2.0 + 5.0 * sd_m + 2.0 * late_s:
+        return ()
+    text = (
+        f"the first depth, {late_s:.2f} s after the start, is {_below(deeper_m)} the height at the start, "
+        f"{start.position[0, 2]:.2f} m"
     )
+    return (warning("depth_contradiction", text, 1, f"{_ZERO_HINT}; or initial.height_m"),)
 
 
-def _side_by_side(columns: SensorColumns, reference: ReferenceColumns) -> tuple[Floats, ReferenceColumns]:
-    """Pair the readings, shape (k, s), with the rows of the reference that are nearest to them, if any is near."""
-    last = len(reference.time_ns) - 1
-    after = np.searchsorted(reference.time_ns, columns.time_ns).clip(max=last)
-    before = (after - 1).clip(min=0)
-    is_before = columns.time_ns - reference.time_ns[before] < np.abs(reference.time_ns[after] - columns.time_ns)
-    row = np.where(is_before, before, after)
-    near = np.abs(reference.time_ns[row] - columns.time_ns) <= nanoseconds(NEAR_S)
-    row = row[near]
-    paired = ReferenceColumns(
-        reference.time_ns[row], reference.position[row], reference.velocity_n[row], reference.mat_nb[row]
-    )
-    return columns.values[near], paired
+def _side_by_side(columns: SensorColumns, known: ReferenceColumns) -> tuple[Floats, ReferenceColumns]:
+    """Pair the readings, shape (k, s), with the nearest rows of a solution, where one is near."""
+    row = _nearest(columns.time_ns, known.time_ns)
+    near = np.abs(known.time_ns[row] - columns.time_ns) <= NS_PER_S // 2
+    return columns.values[near], _rows(known, row[near])
 
 
-def _heading_compared(values: Floats, reference: ReferenceColumns) -> list[Note]:
-    off, mean = _headings_apart(values, reference)
-    if astray := _heading_astray(off, mean, "reference"):
-        return astray
-    if len(off) >= FEWEST_ALIKE and abs(mean) > HEADING_OFF:
-        text = f"the heading is {mean / DEG:+.1f} deg off the reference's, in the mean of {len(off)} readings"
-        hint = "heading.declination_deg, heading.mounting_rpy_deg or heading.axes; or the reference is turned"
-        return [_contradiction("heading", text, len(off), hint)]
-    return []
-
-
-def _headings_apart(values: Floats, known: ReferenceColumns) -> tuple[Floats, float]:
-    """Return by how much headings differ, rad, shape (k,), and their mean."""
+def _heading_notes(values: Floats, known: ReferenceColumns, whose: str) -> Iterator[Note]:
     off = wrap_angle(values[:, 0] - rpy_from_mat(known.mat_nb)[:, 2])
     off = off[np.isfinite(off)]
-    return off, float(np.angle(np.mean(np.exp(1j * off)))) if len(off) else 0.0
+    if len(off) < _FEWEST_ALIKE:
+        return
+    mean = float(np.angle(np.mean(np.exp(1j * off))))
+    spread = float(np.median(np.abs(wrap_angle(off - mean))))
+    if spread > 20.0 * DEG:  # no compass that is turned to true north scatters so
+        text = (
+            f"the heading does not follow the {whose}'s: with the mean difference of {mean / DEG:+.0f} deg taken off, "
+            f"half of its {len(off)} readings are still more than {spread / DEG:.0f} deg off"
+        )
+        hint = "heading.angle_unit, heading.axes or heading.stamp"
+        yield warning("heading_contradiction", text, len(off), hint)
+    elif whose == "reference" and abs(mean) > 5.0 * DEG:  # no AHRS errs by more in the mean
+        text = f"the heading is {mean / DEG:+.1f} deg off the reference's, in the mean of {len(off)} readings"
+        hint = "heading.declination_deg, heading.mounting_rpy_deg or heading.axes; or the reference is turned"
+        yield warning("heading_contradiction", text, len(off), hint)
 
 
-def _heading_astray(off: Floats, mean: float, whose: str) -> list[Note]:
-    spread = float(np.median(np.abs(wrap_angle(off - mean)))) if len(off) >= FEWEST_ALIKE else 0.0
-    if spread <= HEADING_SPREAD:
-        return []
-    text = (
-        f"the heading does not follow the {whose}'s: with the mean difference of {mean / DEG:+.0f} deg taken off, half "
-        f"of its {len(off)} readings are still more than {spread / DEG:.0f} deg off"
-    )
-    return [_contradiction("heading", text, len(off), "heading.angle_unit, heading.axes or heading.stamp")]
+def _depth_notes(values: Floats, known: ReferenceColumns, whose: str, range_m: float, largest: float) -> Iterator[Note]:
+    """Compare changes of depth with a solution that goes down by at least the range.
+
+    No density makes a factor of more than the largest; feet are 3.3 times metres.
+    """
+    down_m = -known.position[:, 2]
+    both = np.isfinite(down_m) & np.isfinite(values[:, 0])
+    ours_m, theirs_m = values[both, 0], down_m[both]
+    if len(ours_m) < _FEWEST_ALIKE or np.ptp(np.percentile(theirs_m, [5.0, 95.0])) < range_m:
+        return
+    ours_m, theirs_m = ours_m - ours_m.mean(), theirs_m - theirs_m.mean()
+    product, power = float(ours_m @ theirs_m), float(theirs_m @ theirs_m)
+    scale = product / power
+    follows = abs(product) >= 0.9 * np.sqrt(power * float(ours_m @ ours_m))
+    if follows and not 1.0 / largest < scale < largest:
+        text = f"the depth changes by {scale:.3g} m for each metre that the {whose} goes down"
+        hint = (
+            "depth.pressure_unit or depth.density_kgpm3; depth.depth for what is positive downwards, else depth.height"
+        )
+        yield warning("depth_contradiction", text, len(ours_m), hint)
 
 
-def _depth_compared(values: Floats, reference: ReferenceColumns) -> list[Note]:
-    return _depth_astray(values, reference, "reference", DEPTH_RANGE_M, DEPTH_SCALE)
-
-
-def _zero_compared(values: Floats, reference: ReferenceColumns, depth: Depth) -> list[Note]:
+def _zero_notes(values: Floats, known: ReferenceColumns, depth: Depth) -> Iterator[Note]:
     if depth.surface_height_m is None:
-        return []
-    deeper_m = _deeper_m(values, reference, depth)
+        return
+    deeper_m = _deeper_m(values, known, depth)
     deeper_m, depth_m = deeper_m[np.isfinite(deeper_m)], values[np.isfinite(deeper_m), 0]
-    if len(deeper_m) < FEWEST_ALIKE:
-        return []
+    if len(deeper_m) < _FEWEST_ALIKE:
+        return
     off_m, typical_m = float(np.median(deeper_m)), float(np.median(np.abs(depth_m)))
-    if abs(off_m) <= DEPTH_OFF_M + DEPTH_OFF_SHARE * typical_m:
-        return []
-    text = f"the depth is {_below(off_m)} the reference's height, by the median of {len(deeper_m)} readings"
-    return [_contradiction("depth", text, len(deeper_m), ZERO_HINT)]
+    if abs(off_m) > 2.0 + 0.03 * typical_m:  # swell and air pressure, and what fresh water makes of a depth
+        text = f"the depth is {_below(off_m)} the reference's height, by the median of {len(deeper_m)} readings"
+        yield warning("depth_contradiction", text, len(deeper_m), _ZERO_HINT)
 
 
 def _deeper_m(values: Floats, known: ReferenceColumns, depth: Depth) -> Floats:
-    """Return by how much the gauge, its zero where it is told to be, puts the IMU below what is known, shape (k,)."""
+    """Return by how much the depth sensor, with its configured zero, puts the IMU below a solution, shape (k,)."""
     arm_down_m = np.nan_to_num(known.mat_nb[:, 2] @ np.array(depth.lever_arm_m))
     return np.asarray(values[:, 0] - arm_down_m - (depth.surface_height_m or 0.0) + known.position[:, 2])
 
 
 def _below(deeper_m: float) -> str:
     return f"{abs(deeper_m):.2f} m {'below' if deeper_m > 0.0 else 'above'}"
-
-
-def _depth_astray(values: Floats, known: ReferenceColumns, whose: str, range_m: float, largest: float) -> list[Note]:
-    """Hold changes of depth against those of what is known, if it goes down by so much, and allow for such a factor."""
-    down_m = -known.position[:, 2]
-    both = np.isfinite(down_m) & np.isfinite(values[:, 0])
-    ours_m, theirs_m = values[both, 0], down_m[both]
-    if len(ours_m) < FEWEST_ALIKE or np.ptp(np.percentile(theirs_m, [5.0, 95.0])) < range_m:
-        return []
-    ours_m, theirs_m = ours_m - ours_m.mean(), theirs_m - theirs_m.mean()
-    product, power = float(ours_m @ theirs_m), float(theirs_m @ theirs_m)
-    scale = product / power
-    if abs(product) < DEPTH_FOLLOWS * np.sqrt(power * float(ours_m @ ours_m)):
-        return []
-    if 1.0 / largest < scale < largest:
-        return []
-    text = f"the depth changes by {scale:.3g} m for each metre that the {whose} goes down"
-    hint = "depth.pressure_unit or depth.density_kgpm3; depth.depth for what is positive downwards, else depth.height"
-    return [_contradiction("depth", text, len(ours_m), hint)]
-
-
-def _contradiction(name: str, text: str, count: int, hint: str) -> Note:
-    return Note(f"{name}_contradiction", text, count, Severity.WARNING, hint)
-
-
-def _heading_of_filter(values: Floats, motion: ReferenceColumns) -> list[Note]:
-    return _heading_astray(*_headings_apart(values, motion), "baseline")
-
-
-def _depth_of_filter(values: Floats, motion: ReferenceColumns) -> list[Note]:
-    return _depth_astray(values, motion, "baseline", FILTER_RANGE_M, FILTER_SCALE)
-
-
-_Compares = Callable[[Floats, ReferenceColumns], list[Note]]
-_COMPARED: Final[dict[str, _Compares]] = {"depth": _depth_compared, "heading": _heading_compared}
-_OF_FILTER: Final[dict[str, _Compares]] = {"depth": _depth_of_filter, "heading": _heading_of_filter}

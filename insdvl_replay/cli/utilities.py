@@ -77,7 +77,7 @@ def simulate(
       insdvl-replay simulate calibration -o dive.mcap --lever-arm 0.3,-0.1,0.2 --mounting 0,0,1.5 --dvl-delay 0.12
     """
     from insdvl_replay.cli.screen import spinner
-    from insdvl_replay.logs.writing.dive_log import write_dive
+    from insdvl_replay.logs.write import write_dive
     from insdvl_replay.results.folder import result_file
     from insdvl_replay.sim.dive import simulate_dive
     from insdvl_replay.sim.sensor_errors import LostBeam
@@ -197,7 +197,7 @@ def schema(
     elif name in SCHEMAS:
         write_stdout(json_schema(name).decode())
     else:
-        from insdvl_replay.logs.encoding.ros2msg import definition_text
+        from insdvl_replay.logs.formats.types import definition_text
 
         known = [*SCHEMAS, "a message type such as insdvl_msgs/msg/NavSolution"]
         try:

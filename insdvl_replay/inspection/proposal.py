@@ -22,8 +22,7 @@ import numpy as np
 
 from insdvl_replay.checks.dvl import dvl_by_velocity
 from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
-from insdvl_replay.checks.plausibility import TRACK_DOUBT, UNIT_WRONG, GyroScale, gyro_scale
-from insdvl_replay.checks.reference import velocity_misfit
+from insdvl_replay.checks.reference import TRACK_DOUBT, UNIT_WRONG, GyroScale, gyro_scale, velocity_misfit
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns
@@ -41,13 +40,13 @@ from insdvl_replay.core.states import (
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
 from insdvl_replay.inspection.dry_run import DryRun, Obstacle
 from insdvl_replay.inspection.probe import Candidate, ProbedTopic, probe_topics, time_paths
+from insdvl_replay.logs.columns.clocks import LARGEST_JITTER_S, clock_notes, stamp_unit
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.roles import Finding, find_roles
-from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
-from insdvl_replay.logs.columns.tables import LARGEST_JITTER_S, clock_notes, stamp_path, stamp_unit
-from insdvl_replay.logs.columns.topic_requirements import PROPOSED, Source
-from insdvl_replay.logs.container.recording import Recording, open_recording
+from insdvl_replay.logs.columns.tables import read_sample, read_tables, stamp_path
+from insdvl_replay.logs.columns.topics import PROPOSED, Source
+from insdvl_replay.logs.formats.recording import Recording, open_recording
+from insdvl_replay.logs.read import Finding, find_roles
 
 
 @dataclass(frozen=True)

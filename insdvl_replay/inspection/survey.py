@@ -21,9 +21,9 @@ from insdvl_replay.core.errors import Note, UserError, listed
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun, Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.inspection.proposal import propose
-from insdvl_replay.logs.columns.roles import Finding, find_roles, idle_sensors
-from insdvl_replay.logs.container.recording import Recording, open_recording
-from insdvl_replay.logs.container.records import by_topic
+from insdvl_replay.logs.formats.log_file import by_topic
+from insdvl_replay.logs.formats.recording import Recording, open_recording
+from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
 from insdvl_replay.preparation.alignment import check_start
 from insdvl_replay.report.csv_tables import blocks_csv
 from insdvl_replay.report.document import (

@@ -9,9 +9,8 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from insdvl_replay import logs
-from insdvl_replay.checks.plausibility import plausibility_notes
-from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes
-from insdvl_replay.checks.solutions import solution_notes
+from insdvl_replay.checks.reference import plausibility_notes
+from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from insdvl_replay.checks.instants import same_instants
+from insdvl_replay.checks.sensors import same_instants
 
 MS = 1_000_000
 

@@ -10,7 +10,7 @@ import pytest
 
 from insdvl_replay.checks.dvl import dvl_by_velocity
 from insdvl_replay.checks.imu import gyro_by_attitude, gyro_by_gravity
-from insdvl_replay.checks.plausibility import plausibility_notes, track_by_positions
+from insdvl_replay.checks.reference import plausibility_notes, track_by_positions
 from insdvl_replay.core.config import Config, Dvl, Imu, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, seconds

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.checks.reference import motion_checks
+from insdvl_replay.checks.reference import reference_notes
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
@@ -40,7 +40,7 @@ def reference_of(dive: Dive) -> ReferenceColumns:
 
 def found(dive: Dive, change: Change | None = None) -> list[Note]:
     reference = change(reference_of(dive)) if change else reference_of(dive)
-    return [note for check in motion_checks(dive.imu, reference) for note in check()]
+    return list(reference_notes(dive.imu, dive.dvl, reference))
 
 
 def moved(reference: ReferenceColumns, north_east_m: Floats) -> ReferenceColumns:

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes
-from insdvl_replay.checks.solutions import solution_notes
+from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
 from insdvl_replay.core.config import Config, Depth, Filter, Position, Reference, Solution
 from insdvl_replay.core.dive_columns import ReferenceColumns, SensorColumns, SolutionColumns
 from insdvl_replay.sim.dive import simulate_dive

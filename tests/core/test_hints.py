@@ -9,9 +9,9 @@ import pytest
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError, error_context, listed, nearest
-from insdvl_replay.logs.columns.roles import find_roles
-from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import check_path
+from insdvl_replay.logs.formats.fields import check_path
+from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.read import find_roles
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 FIELDS = {"header": "H", "header.frame_id": "string", "angular_velocity": "V", "angular_velocity.x": "float64"}

@@ -23,7 +23,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from insdvl_replay.checks.imu import turned_by
-from insdvl_replay.checks.reference import _legs
+from insdvl_replay.checks.reference import legs_m
 from insdvl_replay.cli.messages import log_failure
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import ImuColumns
@@ -278,7 +278,7 @@ def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
         rows = np.unique(np.searchsorted(time_s, np.arange(0.0, time_s[-1], 10.0)))
         whole = np.diff(time_s[rows]) < 20.0
         expected = np.diff(np.append(0.0, np.cumsum(way))[rows])[whole]
-        np.testing.assert_array_equal(_legs(Steps(time_s, way, way))[0], expected)
+        np.testing.assert_array_equal(legs_m(Steps(time_s, way, way))[0], expected)
 
 
 def test_want_of_memory_is_no_mistake_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection import survey
 from insdvl_replay.inspection.survey import inspect_log
-from insdvl_replay.logs import read_dive, reader
+from insdvl_replay.logs import read, read_dive
 
 A_PAGE = 4096
 
@@ -86,14 +86,14 @@ def changing(change: Callable[[Path], None], path: Path, work: Callable[..., Any
 def test_a_log_that_changes_before_its_messages_are_read_is_refused(
     log: Path, change: Callable[[Path], None], allow_damaged: bool, sentence: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(reader, "read_tables", changing(change, log, reader.read_tables))
+    monkeypatch.setattr(read, "read_tables", changing(change, log, read.read_tables))
     with pytest.raises(LogError, match=rf"dive\.mcap: {sentence} while it was read") as refusal:
         read_dive(log, Config(), allow_damaged=allow_damaged)
     assert "copy" in refusal.value.hint
 
 
 def test_a_part_of_a_bag_that_changes_is_refused(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reader, "read_tables", changing(append, log, reader.read_tables))
+    monkeypatch.setattr(read, "read_tables", changing(append, log, read.read_tables))
     with pytest.raises(LogError, match=r"dive\.mcap: grew"):
         read_dive(log.parent, Config())
 

@@ -6,7 +6,7 @@ from small_tables import small_cleaner
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, same_rows
+from insdvl_replay.logs.columns.clean import Cleaner, is_few, same_rows
 
 NAN = np.nan
 

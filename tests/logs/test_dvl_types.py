@@ -18,7 +18,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry import frames
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_dvls import DVL_BEAMS, DVL_IF_NAMED, DVL_VELOCITY
+from insdvl_replay.logs.columns.known_types import TYPES
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 
 TIMES = 0.1 * np.arange(20)
@@ -107,7 +107,7 @@ def test_early_water_linked_without_beams_and_figure_of_merit(tmp_path: Path) ->
 
 # The family of the UUV Simulator
 
-UUV = [name for name in DVL_BEAMS if name.endswith("/DVL") and "beam_quaternions" in DVL_BEAMS[name].fields]
+UUV = [name for name, known in TYPES["dvl_beams"].items() if "beam_quaternions" in known.fields]
 
 
 def quaternion_along(vector: Any) -> dict[str, float]:
@@ -316,7 +316,7 @@ def test_type_that_is_none_names_those_that_are(read: Any) -> None:
 
 
 def test_every_type_has_a_definition_for_logs_without() -> None:
-    for name in {**DVL_BEAMS, **DVL_VELOCITY, **DVL_IF_NAMED}:
+    for name in {**TYPES["dvl_beams"], **TYPES["dvl_velocity"], **TYPES["dvl_if_named"]}:
         assert "/" not in name or "dvl1000" in name or definition_text(name)
 
 

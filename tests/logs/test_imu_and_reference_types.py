@@ -15,7 +15,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_types import FIX, IMU, IMU_OF_DRIVERS, ODOMETRY, POSES
+from insdvl_replay.logs.columns.known_types import TYPES
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 
 TIMES = 0.1 * np.arange(20)
@@ -307,5 +307,5 @@ def test_fixes(read: Any) -> None:
 
 
 def test_every_type_has_a_definition_for_logs_without() -> None:
-    for name in {**IMU, **IMU_OF_DRIVERS, **ODOMETRY, **POSES, **FIX}:
+    for name in [name for group in ("imu", "imu_of_drivers", "odometry", "poses", "fix") for name in TYPES[group]]:
         assert not re.match(r"(?!tf/)\w+/", name) or definition_text(name)

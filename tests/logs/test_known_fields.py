@@ -16,27 +16,16 @@ from mcap.writer import Writer
 from rosbag_messages import START_NS, store_with
 from rosbags.typesys.store import Typestore
 
-from insdvl_replay.logs.columns import known_dvls, known_sensors, known_types
-from insdvl_replay.logs.columns.known_types import KnownType, Types
+from insdvl_replay.logs.columns.known_types import SOLUTIONS, TYPES, KnownType, Types
+from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
 from insdvl_replay.logs.container.recording import open_recording
 from insdvl_replay.logs.encoding.fields import channel_paths, find_path, open_reader, split_paths
 from insdvl_replay.logs.encoding.ros2msg import definition_text
 
 TABLES: list[Types] = [
-    known_types.IMU,
-    known_types.IMU_OF_DRIVERS,
-    known_dvls.DVL_BEAMS,
-    known_dvls.DVL_VELOCITY,
-    known_dvls.DVL_IF_NAMED,
-    known_types.NAV_SOLUTION,
-    known_types.ODOMETRY,
-    known_types.POSES,
-    known_types.FIX,
-    known_types.EXTENDED_FIX,
-    known_types.SOLUTIONS,
-    known_types.TRUTH,
-    *(types for groups in known_sensors.TYPES.values() for types in groups),
-    *known_sensors.TYPES_IF_NAMED.values(),
+    *TYPES.values(),
+    SOLUTIONS,
+    *(types for held in SENSOR_TOPICS.values() for types in (*held.types, held.if_named)),
 ]
 NOT_SHIPPED = ("dvl1000_ros/msg/DVL", "tf/msg/tfMessage")
 """Of ROS 1 alone, whose logs all have definitions."""

@@ -27,9 +27,8 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD
 from insdvl_replay.core.tables import ConsistencyRow, ImprovementRow, Tables
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.encoding.ros2msg import definition_text
-from insdvl_replay.logs.writing.dive_log import ANGLE_DIGITS, VELOCITY_DIGITS, write_dive
-from insdvl_replay.logs.writing.replay_log import write_replay
-from insdvl_replay.logs.writing.writer import Batch, stamp, write_log
+from insdvl_replay.logs.mcap_writer import Batch, stamp, write_log
+from insdvl_replay.logs.write import ANGLE_DIGITS, VELOCITY_DIGITS, write_dive, write_replay
 
 START_NS = 1_654_675_200_123_456_789
 S = 1_000_000_000

@@ -11,7 +11,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.columns.cleaning import note_lost_samples
+from insdvl_replay.logs.columns.clean import note_lost_samples
 from insdvl_replay.sim.dive import simulate_dive
 
 STEP_NS = 10_000_000

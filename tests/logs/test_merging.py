@@ -7,7 +7,8 @@ import pytest
 from small_tables import nanoseconds, small_table
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.columns.order import merge_channels, raise_if_two_dives, repeated_rows
+from insdvl_replay.logs.columns.clean import raise_if_two_dives
+from insdvl_replay.logs.columns.tables import merge_channels, repeated_rows
 
 NAN = np.nan
 

@@ -6,8 +6,7 @@ from small_tables import nanoseconds, small_cleaner
 
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.cleaning import note_bursts
-from insdvl_replay.logs.columns.imu import note_clock_set, note_gaps
+from insdvl_replay.logs.columns.clean import note_bursts, note_gaps
 
 DAY_S = 86_400.0
 
@@ -21,7 +20,6 @@ def notes_of(note: object, steps_s: list[float], *more: object) -> list[Note]:
 @pytest.mark.parametrize("steps_s", [[], [1.0], [1.0] * 20, [0.8, 1.2] * 10])
 def test_regular_samples_have_no_pauses(steps_s: list[float]) -> None:
     assert notes_of(note_gaps, steps_s, 10.0) == []
-    assert notes_of(note_clock_set, steps_s) == []
     assert notes_of(note_bursts, steps_s, "noise") == []
 
 
@@ -45,7 +43,7 @@ def test_where_all_pauses_are_longer_than_allowed_each_is_a_gap() -> None:
 
 @pytest.mark.parametrize(("step_s", "count"), [(DAY_S, 0), (DAY_S + 1.0, 1)])
 def test_a_step_of_more_than_a_day_is_a_clock_that_was_set(step_s: float, count: int) -> None:
-    notes = notes_of(note_clock_set, [1.0, step_s, 1.0])
+    notes = [note for note in notes_of(note_gaps, [1.0, step_s, 1.0], 10.0) if note.code == "imu_clock_set"]
     assert [note.code for note in notes] == ["imu_clock_set"] * count
     assert all("from 1970-01-01T00:00:01 to 1970-01-02T00:00:02 UTC" in note.text for note in notes)
 

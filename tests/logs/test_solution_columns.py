@@ -15,9 +15,9 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns import tum as tum_file
-from insdvl_replay.logs.columns.tables import Sampled
-from insdvl_replay.logs.columns.tum import read_tum
+from insdvl_replay.logs.columns import reference
+from insdvl_replay.logs.columns.reference import read_tum
+from insdvl_replay.logs.columns.tables import rows_among
 
 TIMES = 0.1 * np.arange(20)
 ENU_OF_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -123,7 +123,7 @@ def test_of_many_messages_every_third_covariance_is_kept(
     if swapped:
         order[9], order[10] = 10, 9
     whole, _ = solution_of(tmp_path, "nav_msgs/msg/Odometry", growing(order))
-    monkeypatch.setattr("insdvl_replay.logs.columns.table_reading.MOST_SAMPLED", 7)
+    monkeypatch.setattr("insdvl_replay.logs.columns.tables.MOST_SAMPLED", 7)
     some, _ = solution_of(tmp_path, "nav_msgs/msg/Odometry", growing(order))
     rows = [0, 3, 6, 10 if swapped else 9, 12, 15, 18]
     np.testing.assert_array_equal(whole.cov_ns, whole.motion.time_ns)
@@ -133,9 +133,8 @@ def test_of_many_messages_every_third_covariance_is_kept(
 
 
 def test_what_is_sampled_follows_the_rows_that_stay() -> None:
-    sampled = Sampled({"x": np.array([[0.0], [3.0], [6.0]])}, np.array([0, 3, 6]))
-    moved = sampled.among(np.array([6, 2, 0, 1]), 8)
-    assert (moved.columns["x"].ravel().tolist(), moved.rows.tolist()) == ([6.0, 0.0], [0, 2])
+    order, places = rows_among(np.array([0, 3, 6]), np.array([6, 2, 0, 1]), 8)
+    assert (order.tolist(), places.tolist()) == ([2, 0], [0, 2])
 
 
 def test_matrices_that_are_no_covariances_are_counted(tmp_path: Path) -> None:
@@ -254,7 +253,7 @@ def test_a_solution_is_a_regular_file_of_some_size(kind: str, tmp_path: Path, mo
         file.mkdir()
     else:
         file.write_text("0.5 0 0 0 0 0 0 1\n")
-        monkeypatch.setattr(tum_file, "MOST_BYTES", 10)
+        monkeypatch.setattr(reference, "MOST_BYTES", 10)
         monkeypatch.setattr(config_file, "MOST_BYTES", 10)
     with pytest.raises(LogError, match="cannot be read: "):
         read_tum(file, Solution(file=str(file)), "filters.b.solution")

@@ -15,21 +15,11 @@ from insdvl_replay.cli.app import app
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns import known_dvls, known_types
-from insdvl_replay.logs.container.other_formats import OTHER_FORMATS, OtherFormat
+from insdvl_replay.logs.columns.known_types import TYPES
+from insdvl_replay.logs.formats.recording import OTHER_FORMATS, OtherFormat
 
 PAGE = inputs.PAGE.read_text("utf-8")
-GROUPS = [
-    known_types.IMU,
-    known_dvls.DVL_BEAMS,
-    known_dvls.DVL_VELOCITY,
-    known_dvls.DVL_IF_NAMED,
-    known_types.NAV_SOLUTION,
-    known_types.ODOMETRY,
-    known_types.FIX,
-    known_types.POSES,
-    known_types.TRUTH,
-]
+GROUPS = [types for name, types in TYPES.items() if name != "onboard"]
 
 
 def test_page_is_current() -> None:

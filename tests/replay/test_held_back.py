@@ -14,7 +14,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, SensorColumn
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.words import Judgement
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.preparation.plugins import given_dive, in_outages

@@ -18,7 +18,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import is_used
 from insdvl_replay.core.runtime import plain
 from insdvl_replay.core.words import Consistency, Whiteness
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log

@@ -105,7 +105,7 @@ def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monke
     While it is read, its fields are in memory, too: two times, way, quaternion and velocity, 96 bytes. There is no room
     for anything else that grows with their number.
     """
-    monkeypatch.setattr("insdvl_replay.logs.columns.table_reading.MOST_SAMPLED", 1000)
+    monkeypatch.setattr("insdvl_replay.logs.columns.tables.MOST_SAMPLED", 1000)
     paths, count = with_odometry(tmp_path)
     beside = settings(onboard=Filter(solution="/odometry"))
     solution = read_dive(paths, beside).solutions["onboard"]

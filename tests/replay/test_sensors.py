@@ -21,7 +21,7 @@ from insdvl_replay.geometry.frames import moved_position, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive, replay_log

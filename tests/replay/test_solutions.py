@@ -20,8 +20,8 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.credibility import credibility_table, state_errors
 from insdvl_replay.evaluation.verdicts import credibility_of
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.solutions import no_covariances
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.columns.reference import no_covariances
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.nav.levelling import drawn_starts
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one

@@ -14,7 +14,7 @@ from mcap_ros2.decoder import DecoderFactory
 from vehicles_own import off, truth_of, write_odometry, write_tum
 
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
 SETTINGS = """

@@ -19,7 +19,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.nav.measurements import NEVER_REOPENED, PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.observability import (
     NominalPings,

@@ -16,7 +16,7 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration, vector_rmse
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.logs.writing.dive_log import write_dive
+from insdvl_replay.logs.write import write_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies import window
 from insdvl_replay.studies.window import WINDOW_COLUMNS, best_windows, dive_windows, pooled_windows, study_window

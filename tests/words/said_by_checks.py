@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from as_text import Cases, noted, refusal
 
-from insdvl_replay.checks.plausibility import plausibility_notes
-from insdvl_replay.checks.reference import motion_checks
+from insdvl_replay.checks.reference import plausibility_notes, reference_notes
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes
 from insdvl_replay.core.config import Config, Depth
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, SensorColumns
@@ -106,7 +105,7 @@ def of_the_reference(turning: Dive) -> Cases:
         ("a heading that jumps", replace(exact, mat_nb=mat_nb)),
         ("a velocity of another scale", replace(exact, velocity_n=1.3 * exact.velocity_n)),
     ):
-        notes = [note for check in motion_checks(straight.imu, columns) for note in check()]
+        notes = list(reference_notes(straight.imu, straight.dvl, columns))
         yield f"a reference: {name}", noted(notes)
 
 

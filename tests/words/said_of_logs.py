@@ -10,9 +10,9 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.columns.roles import find_roles
-from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import check_path
+from insdvl_replay.logs.formats.fields import check_path
+from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.read import find_roles
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive

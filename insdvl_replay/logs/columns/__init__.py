@@ -1,6 +1,6 @@
-"""Messages to the clean columns of those who play a role: SI units, the project's axes, every loss counted.
+"""Messages become the clean columns of the roles: SI units, the project's axes, every loss counted.
 
-`known_types`, `known_dvls` and `known_sensors` say which field of a message holds what; `roles` chooses topics by the
-`topic_requirements`, `table_reading` fills their `tables`, `cleaning` puts rows into the `order` of time, and `imu`,
-`dvl` with `beam_directions`, and `reference` make of these the columns of IMU, DVL and reference.
+`known_types` says which field of a message holds what. `topics` finds the topic of a role, `tables`
+reads its messages, `clocks` puts them in order, `clean` drops what cannot be used. `imu`, `dvl`, `reference` and
+`sensors` know what a role needs and what its numbers mean; `logs.read` joins them.
 """

@@ -1,107 +1,68 @@
-"""The pings of a DVL, as beams or as velocities.
+"""The pings of a DVL, as beams or as velocities, and where its beams point.
 
-Beams point from the instrument to the seabed, `beam_directions` knows where; the velocity along one is that of the
-vehicle over ground.
+Beams point from the instrument to the seabed: as the settings say, as the messages say if that can be true, else as
+those of most DVLs. The velocity along a beam is that of the vehicle over ground.
 """
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from insdvl_replay.core.config import Dvl
+from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.beam_directions import (
-    beam_vectors,
-    beams_of_velocities,
-    note_contradiction,
-    with_beam_speeds,
-)
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
+from insdvl_replay.geometry import frames
+from insdvl_replay.geometry.rotation import mat_from_quat
+from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
+from insdvl_replay.logs.columns.clocks import Mask
 from insdvl_replay.logs.columns.imu import FRD, in_frd
-from insdvl_replay.logs.columns.order import Mask
+from insdvl_replay.logs.columns.known_types import TYPES
 from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.topics import TopicRequirement, requirement
 
-STUCK_S: Final = 5.0
-"""A DVL on a vehicle in water repeats no ping to the last digit for so long."""
-
-_WATER_TRACK: Final = 2
-_BEAM_COORDINATES: Final = 0
-_INSTRUMENT_COORDINATES: Final = 1
-_BEAMS_FOR_VELOCITY: Final = 3
-_STUCK_PINGS: Final = 5
-_NO_VELOCITY_MPS: Final = -32.768
-"""The least number of 16 bits in mm/s, with which instruments of Nortek and Teledyne say that they have no velocity."""
-_SAME_MPS: Final = 1e-3
-_NORTEK_BEAM_BITS: Final = (0, 1, 2, 3)
-_NORTEK_XYZ_BITS: Final = (12, 13, 14)
+_MOVING_MPS: Final = 0.05
+_SPEEDS, _AXES = "velocities along the beams", "axes of the beams"  # columns that no message holds as such
 _VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
+_BEAM_HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has"
+
+
+def dvl_requirement(config: Config) -> TopicRequirement:
+    """State what a DVL needs of a topic."""
+    return requirement(
+        config.dvl,
+        "dvl",
+        ("beam_velocity", "beam_valid", "velocity", "valid"),
+        by_type=[TYPES["dvl_beams"], TYPES["dvl_velocity"]],
+        if_named=TYPES["dvl_if_named"],
+        enough=[{"beam_velocity"}, {"velocity"}],
+    )
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     """Make the columns of the DVL."""
     settings = table.source.completed(settings)
-    table = with_beam_speeds(table, settings)
+    table = _with_beam_speeds(table, settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
-    _keep_bottom_track(table, cleaner)
-    if _reads_beams(table, settings, cleaner):
-        return _beams(table, settings, cleaner)
-    return _velocities(table, settings, cleaner)
-
-
-def _keep_bottom_track(table: Table, cleaner: Cleaner) -> None:
-    if "mode" in table:
-        cleaner.keep(table.column("mode") != _WATER_TRACK, "water_track", "pings are water track")
-    if "water_track" in table:
-        cleaner.keep(table.column("water_track") == 0.0, "water_track", "pings are water track")
-    if "status" in table:
-        found = ~(table.column("status") < 0.0)
-        cleaner.keep(found, "lost", "pings say by their status or altitude that the bottom was lost")
-
-
-def _keep_valid(table: Table, cleaner: Cleaner) -> None:
-    if "valid" in table:
-        cleaner.keep(np.all(table.values("valid") > 0.0, axis=1), "invalid", "pings are marked as invalid")
-    if "velocity_var" in table:
-        cleaner.keep(
-            ~(table.column("velocity_var") < 0.0), "invalid", "pings have a negative variance, as invalid ones"
-        )
-    if "nortek_status" in table:
-        valid = np.asarray(_are_set(table, _NORTEK_XYZ_BITS).all(axis=1))
-        cleaner.keep(valid, "invalid", "pings are invalid by the bits of their status")
-
-
-def _are_set(table: Table, bits: tuple[int, ...]) -> Mask:
-    """Find which bits are set in Nortek's status, shape (k, bits)."""
-    return np.asarray((_whole(table.column("nortek_status"))[:, None] >> np.array(bits)) & 1 == 1)
-
-
-def _whole(numbers: Floats) -> NDArray[np.int64]:
-    """Return the whole numbers of 32 bits that a field holds, 0 where it holds something else."""
-    return np.where((numbers >= 0.0) & (numbers < 2.0**32), numbers, 0.0).astype(np.int64)
-
-
-def _keep_coordinates(table: Table, cleaner: Cleaner, wanted: int) -> None:
-    """Drop what is not given in the wanted coordinates."""
-    if "coordinates" in table:
-        cleaner.keep(table.column("coordinates") == wanted, "coordinates", "pings are in other coordinates")
+    cleaner.keep_where("mode", lambda mode: mode != 2, "water_track", "pings are water track")
+    cleaner.keep_where("water_track", lambda flag: flag == 0.0, "water_track", "pings are water track")
+    lost = "pings say by their status or altitude that the bottom was lost"
+    cleaner.keep_where("status", lambda status: ~(status < 0.0), "lost", lost)
+    decode = _decode_beams if _reads_beams(table, settings, cleaner) else _decode_velocities
+    return decode(table, settings, cleaner), cleaner.notes
 
 
 def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
-    """Decide between beams and velocities; beams where there are any, unless the configuration says otherwise."""
+    """Decide between beams and velocities; beams where there are any, unless the settings say otherwise."""
     kind = settings.kind
     if kind is not None:
         quantity = "beam_velocity" if kind == "beams" else "velocity"
         if quantity not in table:
-            raise LogError(
-                f"type {table.source.type_name} has no {quantity}, and dvl.kind is '{kind}'",
-                f'dvl.{quantity} = "field.path" names it',
-                *table.where,
-            )
+            text = f"type {table.source.type_name} has no {quantity}, and dvl.kind is '{kind}'"
+            raise LogError(text, f'dvl.{quantity} = "field.path" names it', *table.where)
         return kind == "beams"
     if "beam_velocity" not in table or "velocity" not in table:
         return "beam_velocity" in table
@@ -109,6 +70,57 @@ def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
         return True
     cleaner.note("no_beams", "pings, all there are, have no valid beam with a velocity; theirs are used", len(table))
     return False
+
+
+def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColumns:
+    velocity_d = _without_impossible(_velocity_d(table, settings), cleaner)
+    _keep_valid(cleaner)
+    # Of the instrument.
+    cleaner.keep_where("coordinates", lambda kind: kind == 1, "coordinates", "pings are in other coordinates")
+    if "good_beams" in table and table.column("good_beams").any():
+        cleaner.keep_where("good_beams", lambda n: n >= 3, "invalid", "pings have fewer than three good beams")
+    cleaner.keep_finite(velocity_d)
+    _drop_repeats(cleaner, velocity_d)
+    vectors_d, look_d = _beam_vectors(table, settings, cleaner, used=False)
+    in_space = np.linalg.matrix_rank(vectors_d, 0.01) == 3
+    return DvlColumns(cleaner.times, None, vectors_d if in_space else None, cleaner.kept(velocity_d), look_d)
+
+
+def _decode_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColumns:
+    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+    beam_velocity_mps = _without_impossible(_without_none(_beam_velocity(table), unit) * unit, cleaner)
+    # Along the beams.
+    cleaner.keep_where("coordinates", lambda kind: kind == 0, "coordinates", "pings are in other coordinates")
+    if "beam_valid" not in table and "nortek_status" not in table:
+        _keep_valid(cleaner)
+    cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
+    _drop_repeats(cleaner, beam_velocity_mps)
+    vectors_d, look_d = _beam_vectors(table, settings, cleaner, used=True)
+    if len(vectors_d) != beam_velocity_mps.shape[1]:
+        raise ConfigError(
+            f"has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
+            "dvl.beam_azimuth_deg lists one angle for each beam",
+            *table.where,
+        )
+    # A reading along a beam that is infinite is as lost as one that is NaN.
+    finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
+    if "velocity" in table and "coordinates" not in table:
+        _note_contradiction(cleaner, finite, vectors_d, cleaner.kept(_velocity_d(table, settings)))
+    return DvlColumns(cleaner.times, finite, vectors_d, look_d=look_d)
+
+
+def _keep_valid(cleaner: Cleaner) -> None:
+    cleaner.keep_where("valid", lambda flags: flags > 0.0, "invalid", "pings are marked as invalid")
+    reason = "pings have a negative variance, as invalid ones"
+    cleaner.keep_where("velocity_var", lambda variance: ~(variance < 0.0), "invalid", reason)
+    reason = "pings are invalid by the bits of their status"
+    cleaner.keep_where("nortek_status", lambda status: _are_set(status, (12, 13, 14)), "invalid", reason)
+
+
+def _are_set(status: Floats, bits: tuple[int, ...]) -> Mask:
+    """Find which bits are set in Nortek's status, (k, 1); none where it is no whole number of 32 bits."""
+    whole = np.where((status >= 0.0) & (status < 2.0**32), status, 0.0).astype(np.int64)
+    return np.asarray((whole >> np.array(bits)) & 1 == 1)
 
 
 def _has_beams(table: Table) -> Mask:
@@ -119,54 +131,20 @@ def _has_beams(table: Table) -> Mask:
     return np.asarray(~lost)
 
 
-def _velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    velocity_d = _possible(_velocity_d(table, settings), cleaner)
-    _keep_valid(table, cleaner)
-    _keep_coordinates(table, cleaner, _INSTRUMENT_COORDINATES)
-    if "good_beams" in table and table.column("good_beams").any():
-        enough = table.column("good_beams") >= _BEAMS_FOR_VELOCITY
-        cleaner.keep(enough, "invalid", "pings have fewer than three good beams")
-    cleaner.keep_finite(velocity_d)
-    _drop_repeats(cleaner, velocity_d)
-    vectors_d, look_d = beams_of_velocities(table, settings, cleaner)
-    return DvlColumns(cleaner.times, None, vectors_d, cleaner.kept(velocity_d), look_d), cleaner.notes
-
-
 def _velocity_d(table: Table, settings: Dvl) -> Floats:
     unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    velocity = _told(table.values("velocity", 3), unit)
+    velocity = _without_none(table.values("velocity", 3), unit)
     if "velocity_interval_us" in table:
         interval_us = table.column("velocity_interval_us")
         velocity = velocity / np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)[:, None]
     return in_frd(velocity, settings.axes or FRD, "dvl.axes", unit)
 
 
-def _told(values: Floats, unit: float) -> Floats:
+def _without_none(values: Floats, unit: float) -> Floats:
     """Return velocities in the log's unit, NaN where they are the number that stands for none."""
-    is_none = np.abs(values * unit - _NO_VELOCITY_MPS) < _SAME_MPS
+    # The least 16 bits in mm/s, by which instruments of Nortek and Teledyne report no velocity.
+    is_none = np.abs(values * unit + 32.768) < 1e-3
     return np.where(is_none, np.nan, values) if is_none.any() else values
-
-
-def _beams(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[DvlColumns, list[Note]]:
-    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    beam_velocity_mps = _possible(_told(_beam_velocity(table), unit) * unit, cleaner)
-    _keep_coordinates(table, cleaner, _BEAM_COORDINATES)
-    if "beam_valid" not in table and "nortek_status" not in table:
-        _keep_valid(table, cleaner)
-    cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
-    _drop_repeats(cleaner, beam_velocity_mps)
-    vectors_d, look_d = beam_vectors(table, settings, cleaner)
-    if len(vectors_d) != beam_velocity_mps.shape[1]:
-        raise ConfigError(
-            f"has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
-            "dvl.beam_azimuth_deg lists one angle for each beam",
-            *table.where,
-        )
-    # A reading along a beam that is infinite is as lost as one that is NaN.
-    finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
-    if "velocity" in table and "coordinates" not in table:
-        note_contradiction(cleaner, finite, vectors_d, cleaner.kept(_velocity_d(table, settings)))
-    return DvlColumns(cleaner.times, finite, vectors_d, look_d=look_d), cleaner.notes
 
 
 def _beam_velocity(table: Table) -> Floats:
@@ -174,21 +152,18 @@ def _beam_velocity(table: Table) -> Floats:
     velocity = table.values("beam_velocity")
     if "beam_var" in table and (variance := table.values("beam_var")).shape == velocity.shape:
         velocity = np.where(variance < 0.0, np.nan, velocity)
-    if "nortek_status" in table and velocity.shape[1] == len(_NORTEK_BEAM_BITS):
-        velocity = np.where(_are_set(table, _NORTEK_BEAM_BITS), velocity, np.nan)
+    if "nortek_status" in table and velocity.shape[1] == 4:
+        velocity = np.where(_are_set(table.values("nortek_status", 1), (0, 1, 2, 3)), velocity, np.nan)
     if "beam_valid" not in table:
         return velocity
     valid = table.values("beam_valid")
     if valid.shape != velocity.shape:
-        raise LogError(
-            f"has {velocity.shape[1]} beam velocities and {valid.shape[1]} flags of their validity",
-            "dvl.beam_velocity and dvl.beam_valid name as many numbers",
-            *table.where,
-        )
+        text = f"has {velocity.shape[1]} beam velocities and {valid.shape[1]} flags of their validity"
+        raise LogError(text, "dvl.beam_velocity and dvl.beam_valid name as many numbers", *table.where)
     return np.where(valid > 0.0, velocity, np.nan)
 
 
-def _possible(values_mps: Floats, cleaner: Cleaner) -> Floats:
+def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
     """Take single readings that no vehicle can have had for lost; where there are many, the unit is wrong."""
     impossible = np.abs(values_mps) > FASTEST_MPS
     count = int(np.count_nonzero(impossible))
@@ -201,31 +176,149 @@ def _possible(values_mps: Floats, cleaner: Cleaner) -> Floats:
 
 
 def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
+    """Drop pings of zero, repeated times and repeated values; refuse a DVL that has no others."""
     zero = (values == 0.0).all(axis=1)
     if not zero.all():
         reason = "pings are exactly zero, as instruments without a lock report"
         cleaner.keep(~zero, "zero", reason, Severity.WARNING, _VALID_HINT)
     cleaner.drop_repeated_times(values)
-    _note_stuck(cleaner, values)
+    # Values that stay the same for longer than any recorder repeats them: five pings and five seconds.
+    times, ordered = cleaner.times, values[cleaner.rows]
+    starts, ends = find_runs(same_rows(ordered[1:], ordered[:-1]))
+    lengths_s = seconds(times[ends], times[starts])
+    long = np.flatnonzero((lengths_s > 5.0) & (ends - starts >= 5))
+    if long.size:
+        if ends[long[0]] - starts[long[0]] == times.size - 1:
+            text = f"the values of all {times.size} pings are the same for {lengths_s.max():.1f} s"
+            hint = "dvl.velocity or dvl.beam_velocity names other fields, dvl.topic another DVL"
+            raise LogError(text, hint, *cleaner.table.where)
+        count = int(np.sum(ends[long] - starts[long]))
+        text = f"pings stand still to the last digit for over 5 s, the longest run of {lengths_s.max():.1f} s"
+        cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]])
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
     note_bursts(cleaner, np.diff(cleaner.times), "dvl.velocity_sd_mps")
 
 
-def _note_stuck(cleaner: Cleaner, values: Floats) -> None:
-    """Note values that stay the same for longer than any recorder repeats them; refuse a DVL that has no others."""
-    times, ordered = cleaner.times, values[cleaner.rows]
-    starts, ends = find_runs(same_rows(ordered[1:], ordered[:-1]))
-    lengths_s = seconds(times[ends], times[starts])
-    long = np.flatnonzero((lengths_s > STUCK_S) & (ends - starts >= _STUCK_PINGS))
-    if not long.size:
+# Where the beams point.
+
+
+def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
+    """Give a table whose messages hold a velocity vector along each beam the axes of the beams, and speeds along them.
+
+    A vector along a beam is its axis times the speed; an axis points down. While a beam has never moved, nothing tells
+    where it points, and the table stays as it is.
+    """
+    if "beam_velocity_vectors" not in table:
+        return table
+    parts = _limited(table.values("beam_velocity_vectors"))
+    if not parts.shape[1] or parts.shape[1] % 3:
+        return table
+    vectors = parts.reshape(len(table), 3, -1).transpose(0, 2, 1)
+    sizes = np.linalg.norm(vectors, axis=2)
+    down = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")[:, 2].reshape(sizes.shape)
+    axes = np.empty((vectors.shape[1], 3))
+    for beam, axis in enumerate(axes):
+        told = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
+        if not told.any():
+            return table
+        pointing = vectors[told, beam] * (np.sign(down[told, beam]) / sizes[told, beam])[:, None]
+        axis[:] = np.median(pointing, axis=0)
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    columns = {
+        _SPEEDS: np.einsum("kbi,bi->kb", vectors, axes),
+        _AXES: np.broadcast_to(axes.ravel(), (len(table), axes.size)),
+    }
+    fields = {**table.source.fields, "beam_velocity": _SPEEDS, "beam_vectors": _AXES}
+    return replace(table, columns={**table.columns, **columns}, source=replace(table.source, fields=fields))
+
+
+def _limited(values: Floats) -> Floats:
+    """Return velocities or unit vectors, NaN where they are larger than any can be: a damaged log holds any numbers."""
+    return np.where(np.abs(values) <= 1000.0, values, np.nan)
+
+
+def _told_vectors(table: Table, cleaner: Cleaner) -> Floats:
+    """Return the directions that the messages tell in the log's axes, shape (beams, 3)."""
+    quantity, width = ("beam_vectors", 3) if "beam_vectors" in table else ("beam_quaternions", 4)
+    told = _limited(cleaner.kept(table.values(quantity)))
+    if told.shape[1] % width:
+        field = table.source.fields[quantity]
+        text = f"field '{field}' holds {told.shape[1]} numbers, which are not {width} for a beam"
+        raise LogError(text, _BEAM_HINT, *table.where)
+    told = told.reshape(len(told), -1, width)
+    if quantity == "beam_quaternions":
+        # The UUV Simulator writes the axis of the turn whole, beside w: a quaternion whose vector part has length 1
+        # can only be half a turn, with a w of 0.
+        axis, w = told[..., :3], told[..., 3:]
+        whole = (np.abs(np.linalg.norm(axis, axis=-1, keepdims=True) - 1.0) < 1e-6) & (np.abs(w) <= 1.0)
+        sines = np.sqrt(np.clip(1.0 - w * w, 0.0, 1.0))
+        told = mat_from_quat(np.concatenate([np.where(whole, axis * sines, axis), w], axis=-1))[..., 0]
+    return np.asarray(np.median(told, axis=0))
+
+
+def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner, *, used: bool) -> tuple[Floats, Floats | None]:
+    """Return the unit vectors of the beams in d, (beams, 3), and where they look on average if messages tell it, (3,).
+
+    Note what messages tell of beams that are used and cannot be true. Of others, poses alone tell where they look.
+    """
+    configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
+    vectors_d = frames.beam_vectors(
+        frames.TILT_DEG if settings.beam_tilt_deg is None else settings.beam_tilt_deg,
+        frames.AZIMUTH_DEG if settings.beam_azimuth_deg is None else settings.beam_azimuth_deg,
+    )
+    if not ("beam_vectors" in table or "beam_quaternions" in table) or (used and configured):
+        return vectors_d, None
+    told = _told_vectors(table, cleaner)
+    if doubt := _doubt(told, table, cleaner) if used or len(told) else "there are none":
+        if used:
+            azimuths = ", ".join(f"{azimuth:g}" for azimuth in frames.AZIMUTH_DEG)
+            text = (
+                f"pings have beam vectors that cannot be true ({doubt}); a tilt of {frames.TILT_DEG:g} deg and "
+                f"azimuths of {azimuths} deg are assumed"
+            )
+            cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
+        return vectors_d, None
+    told = told / np.linalg.norm(told, axis=1, keepdims=True) if used else told
+    told = in_frd(told, settings.axes or FRD, "dvl.axes")
+    look: Floats | None = told.mean(axis=0) if used or "beam_quaternions" in table else None
+    if look is not None and not frames.look_down(look):
+        along = "({:.2f}, {:.2f}, {:.2f})".format(*look)
+        text = f"pings have beams that do not look down but along {along} in the axes in use"
+        hint = 'dvl.axes says which of its axes look forward, starboard and down, as "flu" or "+z-y+x"'
+        cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
+    return vectors_d if configured else told, look
+
+
+def _note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: Floats, velocity_d: Floats) -> None:
+    """Note beams, shape (kept, beams), that do not add up to the velocity that the instrument makes of them."""
+    moving = np.isfinite(beam_velocity_mps).all(axis=1) & (np.linalg.norm(velocity_d, axis=1) > _MOVING_MPS)
+    if not moving.any() or np.linalg.matrix_rank(vectors_d) < vectors_d.shape[1]:
         return
-    if ends[long[0]] - starts[long[0]] == times.size - 1:
-        raise LogError(
-            f"the values of all {times.size} pings are the same for {lengths_s.max():.1f} s",
-            "dvl.velocity or dvl.beam_velocity names other fields, dvl.topic another DVL",
-            *cleaner.table.where,
-        )
-    count = int(np.sum(ends[long] - starts[long]))
-    text = f"pings stand still to the last digit for over {STUCK_S:g} s, the longest run of {lengths_s.max():.1f} s"
-    cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]])
+    by_beams_d = frames.solve_beams(beam_velocity_mps[moving], vectors_d)[0]
+    apart_mps = np.linalg.norm(by_beams_d - velocity_d[moving], axis=1)
+    part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
+    if part > 0.1:  # both are computed from the same echoes, so that a tilt that is wrong by 3 deg shows
+        text = f"pings have beams that, with the geometry in use, differ by {part:.0%} from the velocity beside them"
+        hint = f'{_BEAM_HINT}; dvl.kind = "velocity" leaves them'
+        cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
+
+
+def _doubt(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
+    """State what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    if not np.all(np.abs(lengths - 1.0) < 0.01):
+        return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
+    if len(vectors) > 2 and np.linalg.matrix_rank(vectors, 0.01) < 3:
+        return "they lie in one plane"
+    if "altitude" in table and "beam_ranges" in table:
+        altitude, ranges = cleaner.kept(table.column("altitude")), cleaner.kept(table.values("beam_ranges", 4))
+        measured = (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
+        if measured.any():
+            slant, along_z = (
+                float(np.median(altitude[measured, None] / ranges[measured])),
+                float(np.median(vectors[:, 2])),
+            )
+            if abs(slant - along_z) >= 0.1:
+                return f"their part along z is {along_z:.3f}, altitude over range is {slant:.3f}"
+    return ""

@@ -1,44 +1,78 @@
-"""The reference solution: positions, velocities and attitudes of one or two topics, on the union of their times."""
+"""The reference and onboard solutions: positions, velocities and attitudes of one or two topics, or of a TUM file.
 
+Sources of covariances and files: the definitions of nav_msgs/Odometry (the pose in its own frame, the twist in that of
+the child) and of geometry_msgs/PoseWithCovariance (x, y, z, then rotations about these fixed axes, row by row); "File
+formats - ground-truth trajectories" of the TUM RGB-D benchmark: ``timestamp tx ty tz qx qy qz qw``, seconds and metres,
+the quaternion from the body to the frame of the positions; lines that begin with # are comments.
+"""
+
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Heading, Initial, Navigation, Reference
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, distinct, in_blocks, nothing
-from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.states import DEG
+from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Heading, Initial, Navigation, Reference, Solution
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Floats,
+    ReferenceColumns,
+    SolutionColumns,
+    TimeNs,
+    distinct,
+    in_blocks,
+    is_new,
+    nothing,
+)
+from insdvl_replay.core.errors import LogError, Note, read_regular
+from insdvl_replay.core.states import DEG, DV, PHI
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
-from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, wrap_angle
-from insdvl_replay.logs.columns.cleaning import Cleaner, is_few, note_lost_samples
-from insdvl_replay.logs.columns.known_types import BLUEYE_GNSS
-from insdvl_replay.logs.columns.tables import Table
-from insdvl_replay.logs.columns.topic_requirements import BOW_DOWN
-
-_LEAST_FIX: Final = 2
-"""PX4's type of a fix in two dimensions."""
-_NED, _BODY, _OLD_NED = 1, 3, 0
-"""PX4's frames, and that of the messages before 1.13."""
-_NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))
-"""Which frame of a pose is north-east-down."""
+from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, wrap_angle
+from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_lost_samples
+from insdvl_replay.logs.columns.known_types import SOLUTIONS, TYPES
+from insdvl_replay.logs.columns.tables import Table, rows_among
+from insdvl_replay.logs.columns.topics import BOW_DOWN, TopicRequirement, requirement
 
 ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
-"""Factors to rad."""
+ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})  # all of a set are there or none
+MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *ANGLES)
+_NED, _BODY, _OLD_NED = 1, 3, 0  # PX4's frames, and that of the messages before 1.13
+_NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))  # which frame of a pose is north-east-down
+SIZE: Final = 9  # velocity error, misalignment and position error
+DP: Final = slice(6, 9)
+_LARGEST: Final = 1e30  # powers of larger variances are no numbers
+_TUM_COLUMNS: Final = 8
+_TUM_FORMAT: Final = "time x y z qx qy qz qw: seconds on the log's clock, m, and the attitude"
+_LATEST_S: Final = Decimal(2**63) / NS_PER_S
+
+
+def reference_requirement(config: Config) -> TopicRequirement:
+    """State what a reference needs of a topic."""
+    return requirement(
+        config.reference,
+        "reference",
+        TOPIC_KEYS,
+        by_type=[TYPES["nav_solution"], TYPES["odometry"]],
+        if_named={**TYPES["fix"], **TYPES["extended_fix"], **TYPES["poses"]},
+        enough=MOTION,
+        together=ANGLES,
+    )
+
+
+def fix_requirement(settings: Navigation, role: str) -> TopicRequirement:
+    """State what a geographic position needs of a topic."""
+    groups = [TYPES["fix"], TYPES["extended_fix"]]
+    return requirement(settings, role, (), "fix", by_type=groups, enough=[{"latitude", "longitude"}])
 
 
 @dataclass(frozen=True)
 class Part:
-    """What one topic tells.
-
-    Attributes
-    ----------
-    cleaner : Cleaner
-        Which of its messages were taken.
-    """
+    """What one topic gives; the cleaner knows which of its messages were taken."""
 
     time_ns: TimeNs
     position: Floats | None
@@ -51,38 +85,53 @@ def decode_reference(
     tables: list[Table], settings: Reference, initial: Initial
 ) -> tuple[ReferenceColumns | None, list[Note]]:
     """Make the columns of the reference; positions in metres are from the initial one."""
-    has_fixes = any("latitude" in table for table in tables)
-    parts = [read_part(_without_local_positions(table) if has_fixes else table, settings, initial) for table in tables]
+    if any("latitude" in table for table in tables):
+        # Positions from an origin that nobody knows are left out where another topic has them on Earth.
+        for i, table in enumerate(tables):
+            fields = {name: path for name, path in table.source.fields.items() if name != "local_position"}
+            tables[i] = replace(table, source=replace(table.source, fields=fields))
+    parts = [read_part(table, settings, initial) for table in tables]
     return (union(parts) if parts else None), [note for part in parts for note in part.cleaner.notes]
 
 
-def _without_local_positions(table: Table) -> Table:
-    """Leave out positions from an origin that nobody knows, where another topic has them on Earth."""
-    fields = {quantity: path for quantity, path in table.source.fields.items() if quantity != "local_position"}
-    return replace(table, source=replace(table.source, fields=fields))
-
-
 def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
-    """Read what a topic tells of position, velocity and attitude, and clean it."""
+    """Read what a topic gives of position, velocity and attitude, and clean it."""
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     position = _position(table, settings, initial)
     told = None if position is None else position.copy()
     if position is not None:
-        _keep_latitudes(position, cleaner)
-        _drop_zeros(position, cleaner)
-    if "fix_status" in table:
-        cleaner.keep(table.column("fix_status") >= 0.0, "no_fix", "positions have no fix")
-    if "fix_type" in table:
-        cleaner.keep(table.column("fix_type") >= _LEAST_FIX, "no_fix", "positions have no fix")
+        # A few positions beyond the poles are dropped; where they are many, the angles are something else.
+        possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
+        count, hint = int(np.count_nonzero(~possible)), f"{cleaner.role}.angle_unit, or "
+        hint += f"{cleaner.role}.latitude names another field"
+        if not is_few(count, possible.size):
+            raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *table.where)
+        cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
+        # Receivers without satellites report latitude and longitude 0, and no dive is there.
+        zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
+        if zero.size:
+            position[zero] = np.nan
+            text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
+            hint = f"{cleaner.role}.fix names another topic of positions"
+            cleaner.note("zero", text, zero.size, Severity.WARNING, hint, first=zero)
+    cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix", "positions have no fix")
+    cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix", "positions have no fix")  # of two dimensions
     if position is not None and "sensor_id" in table:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
     mat_nb = attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
-    _note_missing(cleaner, told, velocity_n, mat_nb)
+    for quantity, values in (
+        ("positions", None if told is None else told[:, :2]),
+        ("heights", None if told is None else told[:, 2:]),
+        ("velocities", velocity_n),
+        ("attitudes", None if mat_nb is None else mat_nb.reshape(-1, 9)),
+    ):
+        if values is not None:
+            cleaner.note_missing(quantity, values)
     position, velocity_n, mat_nb = (
         None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb)
     )
@@ -90,21 +139,21 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
 
 
 def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
-    if "latitude" not in table:
-        return _local_position(table, settings, initial) if "local_position" in table else None
-    unit = ANGLE_UNITS[settings.angle_unit]
-    latitude, longitude = of_receiver(table, "latitude") * unit, of_receiver(table, "longitude") * unit
-    # The wrapped negative lies in [-pi, pi), so that its negative lies in (-pi, pi].
-    return np.stack([latitude, -wrap_angle(-longitude), _height_m(table)], axis=1)
-
-
-def _local_position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
-    """Make positions of metres from an origin: the messages' own, else the initial position; none without either.
-
-    Nor where all are zero in the plane, as in messages that are about something else.
-    """
-    north_east_down_m = local_way_n(table, settings)
-    if not np.nan_to_num(north_east_down_m[:, :2]).any():
+    if "latitude" in table:
+        unit = ANGLE_UNITS[settings.angle_unit]
+        latitude, longitude = of_receiver(table, "latitude") * unit, of_receiver(table, "longitude") * unit
+        height_m = np.full(len(table), np.nan)
+        if "depth" in table:
+            height_m = -table.column("depth")
+        elif "height" in table:
+            height_m = table.column("height")
+        # The wrapped negative is in [-pi, pi), so that its negative is in (-pi, pi].
+        return np.stack([latitude, -wrap_angle(-longitude), height_m], axis=1)
+    if "local_position" not in table:
+        return None
+    # Metres from an origin: the messages' own, else the initial position. All zero are messages about something else.
+    way_n = local_way_n(table, settings)
+    if not np.nan_to_num(way_n[:, :2]).any():
         return None
     origin = np.full((len(table), 3), np.nan)
     if initial.latitude_deg is not None:
@@ -115,19 +164,14 @@ def _local_position(table: Table, settings: Navigation, initial: Initial) -> Flo
     if np.isnan(origin).all():
         return None
     latitude, longitude, height_m = origin[:, 0] * DEG, origin[:, 1] * DEG, origin[:, 2]
-    north_m, east_m, down_m = north_east_down_m.T
-    return np.stack(
-        [
-            latitude + north_m / (meridian_radius_m(latitude) + height_m),
-            longitude + east_m / ((transverse_radius_m(latitude) + height_m) * np.cos(latitude)),
-            height_m - down_m,
-        ],
-        axis=1,
-    )
+    north_m, east_m, down_m = way_n.T
+    north = latitude + north_m / (meridian_radius_m(latitude) + height_m)
+    east = longitude + east_m / ((transverse_radius_m(latitude) + height_m) * np.cos(latitude))
+    return np.stack([north, east, height_m - down_m], axis=1)
 
 
 def local_way_n(table: Table, settings: Navigation) -> Floats:
-    """Return the ways from the origin that positions in metres have, shape (k, 3), north, east, down."""
+    """Return the displacements from the origin that positions in metres have, shape (k, 3), north, east, down."""
     local_m = table.values("local_position", 3)
     if "local_valid" in table:
         local_m = np.where(table.values("local_valid", 2)[:, [0, 0, 1]] > 0.0, local_m, np.nan)
@@ -137,55 +181,12 @@ def local_way_n(table: Table, settings: Navigation) -> Floats:
     return local_m if settings.axes == "ned_frd" else local_m @ MAT_ENU_NED
 
 
-def _height_m(table: Table) -> Floats:
-    if "depth" in table:
-        return -table.column("depth")
-    return table.column("height") if "height" in table else np.full(len(table), np.nan)
-
-
-def _keep_latitudes(position: Floats, cleaner: Cleaner) -> None:
-    """Drop the few positions beyond the poles; where they are many, the angles are something else."""
-    possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
-    count, hint = (
-        int(np.count_nonzero(~possible)),
-        f"{cleaner.role}.angle_unit, or {cleaner.role}.latitude names another field",
-    )
-    if not is_few(count, possible.size):
-        raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *cleaner.table.where)
-    cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
-
-
-def _drop_zeros(position: Floats, cleaner: Cleaner) -> None:
-    """Take latitude and longitude 0 for no position: receivers without satellites report it, and no dive is there."""
-    zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
-    if zero.size:
-        position[zero] = np.nan
-        text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
-        cleaner.note(
-            "zero",
-            text,
-            zero.size,
-            Severity.WARNING,
-            f"{cleaner.role}.fix names another topic of positions",
-            first=zero,
-        )
-
-
-def _note_missing(cleaner: Cleaner, position: Floats | None, velocity_n: Floats | None, mat_nb: Floats | None) -> None:
-    if position is not None:
-        cleaner.note_missing("positions", position[:, :2])
-        cleaner.note_missing("heights", position[:, 2:])
-    if velocity_n is not None:
-        cleaner.note_missing("velocities", velocity_n)
-    if mat_nb is not None:
-        cleaner.note_missing("attitudes", mat_nb.reshape(-1, 9))
-
-
 def of_receiver(table: Table, quantity: str) -> Floats:
     """Return one number a message; of several sensors that of the satellite receiver, NaN where it is invalid."""
     if "sensor_id" not in table:
         return table.column(quantity)
-    satellites = (table.values("sensor_id") == BLUEYE_GNSS) & (table.values("sensor_valid") > 0.0)
+    # NAVIGATION_SENSOR_ID_BLUEYE_GNSS
+    satellites = (table.values("sensor_id") == 4) & (table.values("sensor_valid") > 0.0)
     chosen = np.where(satellites, table.values(quantity), np.nan)
     return np.asarray(chosen[np.arange(len(chosen)), satellites.argmax(axis=1)])
 
@@ -193,33 +194,25 @@ def of_receiver(table: Table, quantity: str) -> Floats:
 def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
     """Return the attitude as it was written, shape (k, 3, 3), or None where the messages hold none whole."""
     if is_by_quaternion(table, settings):
-        to_north = mat_from_quat if settings.axes == "ned_frd" else _mat_from_enu_flu
+
+        def to_north(quat: Floats) -> Floats:
+            mat = mat_from_quat(quat)
+            return mat if settings.axes == "ned_frd" else np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
+
         mat = in_blocks(to_north, table.values("quaternion", 4), np.empty((len(table), 3, 3)))
         for frame, north in _NORTHS:
             if frame in table:
                 mat[table.column(frame) != north] = np.nan
         return mat
-    if "roll" in table:
-        if "heading" not in table:
-            role = table.source.role
-            raise LogError(
-                f"{role}.roll and {role}.pitch name roll and pitch without a heading",
-                f'{role}.heading = "field.path", or leave both out',
-                *table.where,
-            )
-        pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
-        rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
-        return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
-    return None
-
-
-def _mat_from_enu_flu(quat: Floats) -> Floats:
-    return np.asarray(MAT_ENU_NED @ mat_from_quat(quat) @ MAT_FRD_FLU)
-
-
-def _is_east_north_up(table: Table, settings: Navigation) -> bool:
-    """Return in which axes a velocity in n is: unless it is said, in those of the quaternion beside it."""
-    return settings.axes == "enu_flu" or (settings.axes is None and is_by_quaternion(table, settings))
+    if "roll" not in table:
+        return None
+    if "heading" not in table:
+        role = table.source.role
+        text = f"{role}.roll and {role}.pitch name roll and pitch without a heading"
+        raise LogError(text, f'{role}.heading = "field.path", or leave both out', *table.where)
+    pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
+    rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
+    return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
 
 
 def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
@@ -229,12 +222,19 @@ def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:
 
 def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Floats | None:
     if "velocity_frame" in table:
-        return _velocity_by_frame(table, mat_nb)
+        # Each is in the frame that its message says; NaN in frames without a north.
+        velocity, frame = table.values("velocity_n", 3), table.column("velocity_frame")
+        in_n = np.where((frame == _NED)[:, None], velocity, np.nan)
+        if mat_nb is None:
+            return in_n
+        return np.where((frame == _BODY)[:, None], np.einsum("kij,kj->ki", mat_nb, velocity), in_n)
     if "velocity_n" in table and ("velocity_b" not in table or settings.velocity_n is not None):
         velocity = table.values("velocity_n", 3)
         if "velocity_valid" in table:
             velocity = np.where(table.values("velocity_valid", 2)[:, [0, 0, 1]] > 0.0, velocity, np.nan)
-        return velocity @ MAT_ENU_NED if _is_east_north_up(table, settings) else velocity
+        # Unless its axes are set, it is in those of the quaternion beside it.
+        is_enu = settings.axes == "enu_flu" or (settings.axes is None and is_by_quaternion(table, settings))
+        return velocity @ MAT_ENU_NED if is_enu else velocity
     if "velocity_b" not in table or mat_nb is None:
         return None
     velocity_b = table.values("velocity_b", 3)
@@ -243,37 +243,161 @@ def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Fl
     return np.asarray(np.einsum("kij,kj->ki", mat_nb, velocity_b))
 
 
-def _velocity_by_frame(table: Table, mat_nb: Floats | None) -> Floats:
-    """Turn velocities, each in the frame that its message says, north-east-down; NaN in frames without a north."""
-    velocity, frame = table.values("velocity_n", 3), table.column("velocity_frame")
-    in_n = np.where((frame == _NED)[:, None], velocity, np.nan)
-    if mat_nb is None:
-        return in_n
-    return np.where((frame == _BODY)[:, None], np.einsum("kij,kj->ki", mat_nb, velocity), in_n)
-
-
 def union(parts: Sequence[Part]) -> ReferenceColumns:
-    """Lay what several topics tell on the union of their times; what one tells alone is not copied."""
+    """Join topics on the union of their times; one alone is not copied, and one row stands for what it lacks."""
+    shapes = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
     if len(parts) == 1:
-        return _alone(parts[0])
+        count, values = len(parts[0].time_ns), {name: getattr(parts[0], name) for name in shapes}
+        told = {
+            name: nothing((count, *shapes[name])) if column is None else np.ascontiguousarray(column)
+            for name, column in values.items()
+        }
+        return ReferenceColumns(parts[0].time_ns, **told)
     time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
-    position, velocity_n = np.full((time_ns.size, 3), np.nan), np.full((time_ns.size, 3), np.nan)
-    mat_nb = np.full((time_ns.size, 3, 3), np.nan)
+    columns = {name: np.full((time_ns.size, *shape), np.nan) for name, shape in shapes.items()}
     for part in parts:
         rows = np.searchsorted(time_ns, part.time_ns)
-        for column, values in ((position, part.position), (velocity_n, part.velocity_n), (mat_nb, part.mat_nb)):
-            if values is not None:
+        for name, column in columns.items():
+            if (values := getattr(part, name)) is not None:
                 column[rows] = values
-    return ReferenceColumns(time_ns, position, velocity_n, mat_nb)
+    return ReferenceColumns(time_ns, **columns)
 
 
-def _alone(part: Part) -> ReferenceColumns:
-    """Take over what a topic tells; of what it does not, one row stands for all."""
-    columns = {"position": part.position, "velocity_n": part.velocity_n, "mat_nb": part.mat_nb}
-    shapes = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
-    count = len(part.time_ns)
-    told = {
-        name: nothing((count, *shapes[name])) if values is None else np.ascontiguousarray(values)
-        for name, values in columns.items()
-    }
-    return ReferenceColumns(part.time_ns, **told)
+# Onboard solutions.
+
+
+def own_solution_requirement(settings: Solution, role: str) -> TopicRequirement:
+    """State what an onboard solution needs of its topic, which is always named."""
+    return requirement(
+        settings,
+        role,
+        TOPIC_KEYS,
+        if_named=SOLUTIONS,
+        enough=[*MOTION, {"latitude", "longitude"}, {"local_position"}],
+        together=ANGLES,
+    )
+
+
+def no_covariances() -> tuple[TimeNs, Floats]:
+    """Return the times and covariances of a solution that has none."""
+    return np.empty(0, np.int64), np.empty((0, SIZE, SIZE))
+
+
+def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[SolutionColumns, list[Note]]:
+    """Make the columns of a solution of its topic, and of the one with its geographic positions if there is one."""
+    # Positions in metres are aligned where the filters start, not where [initial] says.
+    parts = [read_part(table, settings, Initial()) for table in tables]
+    for part in parts:
+        part.cleaner.require_rows()
+    motion, table, part = union(parts), tables[0], parts[0]
+    completed, notes = table.source.completed(settings), [note for part in parts for note in part.cleaner.notes]
+    way_n = None
+    if "local_position" in table and not motion.has_position:
+        way_n = part.cleaner.kept(local_way_n(table, completed))
+    order, rows = rows_among(table.sampled, part.cleaner.rows, len(table))
+    cov, wrong = _covariances(table, completed, part, order, rows)
+    if wrong:
+        text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
+        hint = "whoever writes them can tell; without them the solution is not judged honest or not"
+        notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
+    return SolutionColumns(motion, way_n, part.time_ns[rows], cov), notes
+
+
+def _covariances(table: Table, settings: Solution, part: Part, order: TimeNs, rows: TimeNs) -> tuple[Floats, int]:
+    """Return the covariance of the sampled rows in n, shape (c, 9, 9), and count matrices that are none.
+
+    A velocity in the body errs by what its own covariance says, and in n by a misalignment, too: with
+    ``v_n = C v_b`` the error is ``dv = C dv_b - v x phi``.
+    """
+    cov, wrong = np.full((len(rows), SIZE, SIZE), np.nan), 0
+    ned_frd = settings.axes == "ned_frd"
+    turn_n, turn_b = (np.eye(3), np.eye(3)) if ned_frd else (MAT_ENU_NED, MAT_FRD_FLU)
+    if "pose_cov" in table:
+        pose, wrong = _believable(table.values("pose_cov", 21)[order], 6)
+        blocks = ((DP, slice(0, 3)), (PHI, slice(3, 6)))
+        for row, pose_row in blocks:
+            for column, pose_column in blocks:
+                cov[:, row, column] = turn_n @ pose[:, pose_row, pose_column] @ turn_n.T
+    if "twist_cov" in table and part.velocity_n is not None:
+        twist, more = _believable(table.values("twist_cov", 6)[order], 3)
+        wrong += more
+        in_body = "velocity_b" in table and settings.velocity_n is None
+        if in_body and part.mat_nb is not None:
+            mat, velocity_x = part.mat_nb[rows] @ turn_b, skew(part.velocity_n[rows])
+            by_phi = -velocity_x @ cov[:, PHI]
+            cov[:, DV, DV] = mat @ twist @ mat.swapaxes(1, 2) - by_phi[:, :, PHI] @ velocity_x.swapaxes(1, 2)
+            cov[:, DV, PHI], cov[:, DV, DP] = by_phi[:, :, PHI], by_phi[:, :, DP]
+            cov[:, PHI, DV], cov[:, DP, DV] = (cov[:, DV, at].swapaxes(1, 2) for at in (PHI, DP))
+        elif not in_body:
+            cov[:, DV, DV] = turn_n @ twist @ turn_n.T
+            cov[:, DV, PHI] = cov[:, DV, DP] = cov[:, PHI, DV] = cov[:, DP, DV] = 0.0
+    return cov, wrong
+
+
+def _believable(upper: Floats, size: int) -> tuple[Floats, int]:
+    """Make covariances of upper triangles, NaN in the blocks of three that are not given; count what is none.
+
+    A variance of 0 or less, such as the -1 in front of a matrix that stands for none, says nothing.
+    """
+    cov = np.empty((len(upper), size, size))
+    row, column = np.triu_indices(size)
+    cov[:, row, column] = cov[:, column, row] = upper
+    variances = np.diagonal(cov, axis1=1, axis2=2)
+    given = np.asarray(((variances > 0.0) & np.isfinite(variances)).reshape(len(cov), -1, 3).all(axis=2))
+    given[cov[:, 0, 0] == -1.0] = False
+    rows = np.repeat(given, 3, axis=1)
+    told = np.where(rows[:, :, None] & rows[:, None, :], cov, 0.0)
+    # What is not given stands for itself alone, so that it does not hide the rest.
+    told[:, np.arange(size), np.arange(size)] += ~rows
+    wrong = np.asarray(~(np.abs(told) < _LARGEST).all(axis=(1, 2)))
+    possible = np.flatnonzero(~wrong)
+    wrong[possible] = np.linalg.eigvalsh(told[possible])[:, 0] <= 0.0
+    rows[wrong] = False
+    return np.where(rows[:, :, None] & rows[:, None, :], told, np.nan), int(np.count_nonzero(wrong))
+
+
+def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns, list[Note]]:
+    """Read a solution from a TUM file; the role is its section of the settings."""
+    try:
+        content = read_regular(path, MOST_BYTES)
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", f"{role}.file names it", path) from error
+    sha256 = hashlib.sha256(content).hexdigest()
+    if settings.sha256 not in (None, sha256):
+        raise LogError(f"has changed since the settings were read: its SHA-256 is {sha256}", "run again", path)
+    times, poses = [], []
+    for number, line in enumerate(content.decode("utf-8", "replace").splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            time_s, *pose = (Decimal(words[0]), *map(float, words[1:]))
+            if len(words) != _TUM_COLUMNS or not (time_s.is_finite() and abs(time_s) < _LATEST_S):
+                raise ValueError
+        except (ArithmeticError, ValueError) as error:  # of what is in it nothing is shown: it may be any file
+            raise LogError(f"line {number} is no pose: it needs {_TUM_COLUMNS} numbers", _TUM_FORMAT, path) from error
+        times.append(round(time_s * NS_PER_S))
+        poses.append(pose)
+    if not poses:
+        raise LogError("has no line with a pose", _TUM_FORMAT, path)
+    time_ns, numbers = np.array(times, np.int64), np.array(poses, np.float64)
+    finite = np.isfinite(numbers)
+    if not finite.any():
+        raise LogError(f"has no number in any of its {len(poses)} poses", _TUM_FORMAT, path)
+    numbers = np.where(finite, numbers, np.nan)
+    notes = []
+    if back := int(np.count_nonzero(np.diff(time_ns) < 0)):
+        text = f"{role}: {back} lines have a time before that of the line above; sorted"
+        hint = "a file of one run has rising times; two of them in one file are two solutions"
+        notes.append(Note("solution_out_of_order", text, back, Severity.WARNING, hint))
+    if repeats := len(time_ns) - len(np.unique(time_ns)):
+        text = f"{role}: {repeats} lines repeat the time of another; of each time the first is taken"
+        notes.append(Note("solution_repeats", text, repeats))
+    order = np.argsort(time_ns, kind="stable")
+    rows = order[is_new(time_ns[order])]
+    way, mat = numbers[rows, :3], mat_from_quat(numbers[rows, 3:])
+    if settings.axes != "ned_frd":
+        way, mat = way @ MAT_ENU_NED, np.asarray(MAT_ENU_NED @ mat @ MAT_FRD_FLU)
+    nothing = np.full_like(way, np.nan)
+    motion = ReferenceColumns(time_ns[rows] - round(settings.latency_s * NS_PER_S), nothing, nothing.copy(), mat)
+    return SolutionColumns(motion, way, *no_covariances()), notes

@@ -1,241 +1,70 @@
-"""What a log holds of one topic that plays a role, as columns, and the clock that stamps it.
+"""The messages of one topic as columns, read from a log block by block, every topic in the same pass."""
 
-The recorder's log time is the one clock that all topics share. Log time minus stamp is what a topic's own clock is away
-from it, plus the time that messages take; two topics whose clocks differ in it cannot be replayed together.
-"""
-
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, distinct, nanoseconds
+from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, nanoseconds
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.topic_requirements import Source, code_of
-from insdvl_replay.logs.container.loss import damaged_file_error
-from insdvl_replay.logs.encoding.fields import Columns, Kinds, fields_hint, split_paths
+from insdvl_replay.core.errors import LogError, error_context, listed
+from insdvl_replay.logs.columns.clocks import Mask, Rows, measure_clock, stamp_unit
+from insdvl_replay.logs.columns.topics import Source
+from insdvl_replay.logs.formats.fields import (
+    ROWS,
+    Columns,
+    FieldReader,
+    Kinds,
+    fields_hint,
+    open_reader,
+    split_paths,
+)
+from insdvl_replay.logs.formats.log_file import Block, LogChannel, damaged_file_error
+from insdvl_replay.logs.formats.recording import CHANNELS_OF_A_PART, Recording
 
-SAME_CLOCK_S: Final = 1.0
-"""Messages are not under way for longer than this; clocks further apart are two clocks."""
-LARGEST_JITTER_S: Final = 1.0
-"""What varies by more between stamp and recording is no jitter: the clock drifts, or jumps."""
-_NS: Final = 1e-9
-_NS_PER_US: Final = 1000.0
-_UNITS: Final = ((1, "nanoseconds"), (10**3, "microseconds"), (10**6, "milliseconds"), (10**9, "seconds"))
-_UNIX_TIME_S: Final = 1e8
-"""The time since 1970 has been longer than this since 1973."""
-_IN_STEP: Final = 0.2
-"""A recorder that writes as messages come keeps step with their stamps better than this; units are 1000 apart."""
-
-
-def measure_clock(role: str, topic: str, stamp: str, time_ns: TimeNs, log_time_ns: TimeNs) -> Clock:
-    """Compare the stamps of a topic with the times of its recording, both of shape (k,), in the file's order."""
-    # As arrays, whose sums go round at 2^64: log times behind 2^63 still give what they are behind.
-    behind_ns = log_time_ns - time_ns
-    first_ns = int(behind_ns[0])
-    behind_ns -= first_ns
-    low, median, high = (_percentile(behind_ns, percent) for percent in (5, 50, 95))
-    # Each such array of a long log is much new memory; this one has done its duty.
-    steps_ns = np.subtract(time_ns[1:], time_ns[:-1], out=behind_ns[1:])
-    back_steps, repeats = int(np.count_nonzero(steps_ns < 0)), int(np.count_nonzero(steps_ns == 0))
-    changes = len(distinct(time_ns)) - 1 if back_steps else steps_ns.size - repeats
-    span_ns = int(time_ns.max()) - int(time_ns.min())
-    return Clock(
-        role=role,
-        topic=topic,
-        stamp=stamp,
-        messages=len(time_ns),
-        log_minus_stamp_s=(float(first_ns) + median) * _NS,
-        spread_s=(high - low) * _NS,
-        back_steps=back_steps,
-        repeats=repeats,
-        rate_hz=changes / (span_ns * _NS) if changes else None,
-    )
+RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no message
+SAMPLED: Final = ("pose_cov", "twist_cov")  # quantities that change slowly, and are large
+MOST_SAMPLED: Final = 20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
+_HOPELESS: Final = 1000  # where so many messages cannot be read, and fewer can, the schema is wrong
 
 
-def _percentile(values: TimeNs, percent: float) -> float:
-    """Do what `numpy.percentile` does, which takes ten times as long for millions of whole numbers; reorder them."""
-    place = percent / 100.0 * (values.size - 1)
-    below = int(place)
-    values.partition(below)
-    low, high = int(values[below]), int(values[below + 1 :].min(initial=np.iinfo(np.int64).max))
-    return low + (place - below) * (high - low) if place > below else float(low)
-
-
-def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) -> tuple[Note, ...]:
-    """Refuse to mix clocks that have nothing to do with each other, and say which of them are not the recorder's.
-
-    The clock of the IMU is the first. Log time minus stamp may differ by so much between it and another role's, beyond
-    the spread of both. A latency is how late a message was stamped, as of a fix that took seconds, or how far its clock
-    is off, which it mends: one of the two clocks, with it taken off or without, has to be the IMU's.
-    """
-    imu, *others = clocks
-    notes = [
-        _offset_note(clock) for clock in clocks if min(map(abs, _both_ways(clock))) > SAME_CLOCK_S + clock.spread_s
-    ]
-    notes += [_unsteady_note(clock) for clock in clocks if clock.spread_s > LARGEST_JITTER_S]
-    for other in others:
-        jitter_s = min(other.spread_s, LARGEST_JITTER_S) + min(imu.spread_s, LARGEST_JITTER_S)
-        apart_s = min(abs(one - another) for one in _both_ways(other) for another in _both_ways(imu)) - jitter_s
-        both = f"{imu.topic} and {other.topic}" if imu.topic != other.topic else f"imu and {other.role} of {imu.topic}"
-        text = (
-            f"{both} are stamped by different clocks: log time minus stamp is "
-            f"{imu.log_minus_stamp_s:.3f} s on the one and {other.log_minus_stamp_s:.3f} s on the other"
-            f"{_latency_words(imu, other)}"
-        )
-        to_set = (f"--set {clock.role}.stamp=log_time" for clock in (imu, other) if clock.stamp != "log_time")
-        by_recorder = f"{' '.join(to_set)} stamps both by the recorder"
-        if apart_s > max_disagreement_s:
-            hint = f"{by_recorder}; if they do belong together, raise clocks.max_disagreement_s"
-            raise LogError(text, hint, place)
-        if apart_s > SAME_CLOCK_S:
-            text += "; clocks.max_disagreement_s allows it"
-            notes.append(Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder))
-    return tuple(notes)
-
-
-def _both_ways(clock: Clock) -> tuple[float, float]:
-    """Return log time minus stamp, s, as the log has it, and with the latency taken off the stamps."""
-    return clock.log_minus_stamp_s, clock.log_minus_stamp_s + clock.latency_s
-
-
-def _latency_words(*clocks: Clock) -> str:
-    """Say what is taken off the stamps, of which the log knows nothing."""
-    return "".join(
-        f"; {clock.role}.latency_s takes {clock.latency_s:g} s off the stamps" for clock in clocks if clock.latency_s
-    )
-
-
-def stamp_unit(values: NDArray[Any], log_time_ns: TimeNs) -> tuple[int, str]:
-    """Find in which unit a stamp that is a mere number counts: its nanoseconds, and its name.
-
-    They tell it by how far they run, shape (k,), while the recorder's clock runs on, which holds for the time since
-    power-up too. Where the recorder's clock does not keep step with them, because the log was written later, their size
-    has to do: it is taken for the time since 1970.
-    """
-    ran, recorded_s = float(values[-1]) - float(values[0]), float(log_time_ns[-1] - log_time_ns[0]) * _NS
-    for unit in _UNITS:
-        if abs(ran * unit[0] * _NS - recorded_s) < _IN_STEP * recorded_s:
-            return unit
-    size = float(np.median(np.abs(values)))
-    return next((unit for unit in _UNITS if size * unit[0] * _NS >= _UNIX_TIME_S), _UNITS[-1])
-
-
-def _unsteady_note(clock: Clock) -> Note:
-    text = (
-        f"{clock.topic}: the clock of its stamps runs unlike the recorder's: log time minus stamp varies by "
-        f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
-    )
-    return Note(
-        f"{code_of(clock.role)}_clock_unsteady",
-        text,
-        clock.messages,
-        Severity.WARNING,
-        f'{clock.role}.stamp = "log_time"',
-    )
-
-
-def _offset_note(clock: Clock) -> Note:
-    text = (
-        f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s in the median, "
-        f"{clock.spread_s:.3f} s between its 5th and 95th percentile{_latency_words(clock)}"
-    )
-    return Note(f"{code_of(clock.role)}_clock_offset", text, clock.messages)
-
-
-RECORDER_STAMPS: Final = ("log_time", "publish_time")
-"""Stamps that stand in no message."""
-
-
-SAMPLED: Final = ("pose_cov", "twist_cov")
-"""Quantities that change slowly, and are large: what a solution says of its errors."""
-MOST_SAMPLED: Final = 20_000
-"""So many of their rows are kept, in all 7 MB of an odometry; of more messages, evenly some."""
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """What is kept of the quantities in `SAMPLED`.
-
-    Attributes
-    ----------
-    columns : dict of str to ndarray, shape (s, n)
-        By field path.
-    rows : ndarray of int64, shape (s,)
-        Rows of the table from which they are, in the order of the columns.
-    """
-
-    columns: Columns
-    rows: NDArray[np.int64]
-
-    def among(self, rows: NDArray[np.int64], count: int) -> "Sampled":
-        """Keep what is among some rows of a table that had so many, numbered by their places in these."""
-        place = np.full(count, -1, np.int64)
-        place[rows] = np.arange(len(rows))
-        order = np.argsort(place[self.rows], kind="stable")
-        order = order[place[self.rows[order]] >= 0]
-        return Sampled({path: values[order] for path, values in self.columns.items()}, place[self.rows[order]])
+def stamp_path(stamp: str) -> str:
+    """Return the field of a stamp; ``header`` is short for that of a ROS message."""
+    return "header.stamp" if stamp == "header" else stamp
 
 
 @dataclass(frozen=True)
 class Table:
-    """The messages of one topic, as the log has them: not sorted, not checked, in the log's units and axes.
+    """The messages of one topic as the log has them: not sorted, not checked, in the log's units and axes."""
 
-    Attributes
-    ----------
-    where : (str, str)
-        File and topic, for messages to the user.
-    columns : dict of str to ndarray, shape (k, n)
-        By field path; ``log_time`` and ``publish_time`` are the recorder's.
-    unreadable_ns : tuple of int
-        Log times of messages that are left out because they do not fit their schema.
-    fault : LogError or None
-        What is wrong with the first of these.
-    duplicates : int
-        Messages that are left out because another channel or file holds them too.
-    known : mapping of str to str
-        Every path that the messages have, with the type of what is there.
-    files : ndarray of int64, shape (k,), or None
-        Number of the file from which each message is, where they are from several.
-    others : int
-        Messages without a row, less the rows that some messages have beyond one.
-    has_whole_times : bool
-        Whether the stamps were seconds and nanoseconds. Their column is nanoseconds, which takes half the memory.
-    sampled : Sampled
-        The quantities that stand in evenly chosen messages alone.
-    """
-
-    where: tuple[str, str]
+    where: tuple[str, str]  # file and topic, for messages to the user
     source: Source
-    columns: Columns
-    unreadable_ns: tuple[int, ...] = ()
-    fault: LogError | None = None
-    duplicates: int = 0
-    known: Kinds = field(default_factory=dict)
-    files: NDArray[np.int64] | None = None
-    has_whole_times: bool = False
-    others: int = 0
-    sampled: Sampled = field(default_factory=lambda: Sampled({}, np.empty(0, np.int64)))
+    columns: Columns  # by field path, (k, n); those of `SAMPLED` quantities have the sampled rows alone
+    unreadable_ns: tuple[int, ...] = ()  # log times of messages that are left out because they do not fit their schema
+    fault: LogError | None = None  # what is wrong with the first of these
+    duplicates: int = 0  # messages that are left out because another channel or file holds them too
+    known: Kinds = field(default_factory=dict)  # every path that the messages have, with the type of what is there
+    files: Rows | None = None  # (k,), number of the file of each message, where they are from several
+    has_whole_times: bool = False  # stamps were seconds and nanoseconds; their column is nanoseconds
+    others: int = 0  # messages without a row, less the rows that some messages have beyond one
+    sampled: Rows = field(default_factory=lambda: np.empty(0, np.int64))  # rows of the `SAMPLED` quantities
 
     def __len__(self) -> int:
         """Return the number of messages."""
-        return len(next(iter(self.columns.values())))
+        return len(self.columns["log_time"])
 
     def __contains__(self, quantity: str) -> bool:
         """Return whether the topic holds a quantity."""
         return quantity in self.source.fields
 
     def values(self, quantity: str, width: int | None = None) -> Floats:
-        """Return a quantity as numbers, shape (k, n); a LogError where each message must hold more or fewer.
-
-        One of `SAMPLED` has the shape (s, n).
-        """
-        path, columns = self.source.fields[quantity], self.sampled.columns if quantity in SAMPLED else self.columns
-        parts = [columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
+        """Return the numbers of a quantity, shape (k, width); a LogError where there are more or fewer."""
+        path = self.source.fields[quantity]
+        parts = [self.columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
         values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
@@ -250,27 +79,6 @@ class Table:
         single: Floats = self.values(quantity, 1)[:, 0]
         return single
 
-    def time_ns(self) -> TimeNs:
-        """Return the times of validity, shape (k,); a LogError where the stamp is no time, or always the same.
-
-        What is measured over an interval, at whose end it is stamped, is valid in the middle of it.
-        """
-        stamp = self.source.stamp
-        time_ns = self.columns[stamp][:, 0] if stamp in RECORDER_STAMPS else self._stamped(stamp_path(stamp))
-        if time_ns.size > 1 and time_ns.min() == time_ns.max():
-            raise LogError(
-                f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages",
-                f'{self.source.role}.stamp = "log_time"',
-                *self.where,
-            )
-        latency_ns = nanoseconds(self.source.latency_s)
-        if "interval_us" in self:
-            interval_us = self.column("interval_us")
-            possible = (interval_us >= 0.0) & (interval_us < 2.0**32)
-            half_ns = np.rint(np.where(possible, interval_us, 0.0) * (_NS_PER_US / 2.0)).astype(np.int64)
-            time_ns = time_ns - half_ns
-        return time_ns - latency_ns if latency_ns else time_ns
-
     @property
     def stamp_numbers(self) -> NDArray[Any] | None:
         """Stamps that are mere numbers, shape (k,); None where they are times."""
@@ -278,38 +86,243 @@ class Table:
         is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
         return None if is_time else values[:, 0]
 
+    def time_ns(self) -> TimeNs:
+        """Return the times of validity, shape (k,); a LogError where the stamp is no time, or always the same.
+
+        What is measured over an interval, at whose end it is stamped, is valid in the middle of it.
+        """
+        role, stamp, path = self.source.role, self.source.stamp, stamp_path(self.source.stamp)
+        values, hint = self.columns[path], f'{role}.stamp = "log_time"'
+        time_ns: TimeNs = values[:, 0]
+        if stamp not in RECORDER_STAMPS and not self.has_whole_times:
+            if values.shape[1] != 1:
+                text = f"field '{path}' holds {values.shape[1]} numbers and is no time"
+                raise LogError(text, f"{role}.stamp names a builtin_interfaces/Time or one number", *self.where)
+            if missing := int(np.count_nonzero(~np.isfinite(values))):
+                raise LogError(f"stamp '{path}' is no number in {missing} messages", hint, *self.where)
+            counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
+            time_ns = counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
+        if time_ns.size > 1 and time_ns.min() == time_ns.max():
+            text = f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages"
+            raise LogError(text, hint, *self.where)
+        if "interval_us" in self:
+            interval_us = self.column("interval_us")
+            possible = (interval_us >= 0.0) & (interval_us < 2.0**32)
+            time_ns = time_ns - np.rint(np.where(possible, interval_us, 0.0) * 500.0).astype(np.int64)
+        latency_ns = nanoseconds(self.source.latency_s)
+        return time_ns - latency_ns if latency_ns else time_ns
+
     def clock(self) -> Clock:
         """Compare the stamps with the times of recording; what is measured over an interval has the middle of it."""
-        source = self.source
-        clock = measure_clock(source.role, source.topic, source.stamp, self.time_ns(), self.columns["log_time"][:, 0])
-        by_log_s = clock.log_minus_stamp_s - source.latency_s
-        return replace(clock, log_minus_stamp_s=by_log_s, latency_s=source.latency_s)
+        source, log_time_ns = self.source, self.columns["log_time"][:, 0]
+        return measure_clock(source.role, source.topic, source.stamp, self.time_ns(), log_time_ns, source.latency_s)
 
     def damage_error(self) -> LogError:
         """Return the error with which a log is refused of which messages cannot be read."""
         faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
         return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "messages")
 
-    def _stamped(self, path: str) -> TimeNs:
-        values = self.columns[path]
-        if self.has_whole_times:
-            return values[:, 0]
-        if values.shape[1] != 1:
-            raise LogError(
-                f"field '{path}' holds {values.shape[1]} numbers and is no time",
-                f"{self.source.role}.stamp names a builtin_interfaces/Time or one number",
-                *self.where,
-            )
-        if not np.isfinite(values).all():
-            raise LogError(
-                f"stamp '{path}' is no number in {np.count_nonzero(~np.isfinite(values))} messages",
-                f'{self.source.role}.stamp = "log_time"',
-                *self.where,
-            )
-        counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
-        return counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
+
+def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
+    """Read the columns of several topics, in the order of the sources."""
+    builders = [_Builder(log, source) for source in sources]
+    for block in log.blocks({channel.id for source in sources for channel in source.channels}):
+        for builder in builders:
+            builder.add(block)
+    return [builder.table() for builder in builders]
 
 
-def stamp_path(stamp: str) -> str:
-    """Return the field of a stamp; ``header`` is short for that of a ROS message."""
-    return "header.stamp" if stamp == "header" else stamp
+def read_sample(log: Recording, source: Source, enough: int) -> Table:
+    """Read the columns of a topic's first rows, up to the block with which there are enough."""
+    builder = _Builder(log, source)
+    for block in log.blocks({channel.id for channel in source.channels}):
+        builder.add(block)
+        if builder.count >= enough:
+            break
+    return builder.table()
+
+
+class _Builder:
+    """Collects the columns of one topic, block by block."""
+
+    def __init__(self, log: Recording, source: Source) -> None:
+        self.log = log
+        self.source = source
+        self.where = (str(log.path), source.topic)
+        self.every = max(1, math.ceil(sum(channel.messages for channel in source.channels) / MOST_SAMPLED))
+        self.count = 0
+        self.others = 0
+        self.has_whole_times = False
+        self.runs: list[tuple[int, int]] = []  # a channel, and how many messages in a row are of it
+        self.unreadable_ns: list[int] = []
+        self.fault: LogError | None = None
+        self.sampled: set[str] = set()
+        paths = [stamp_path(source.stamp), "log_time"]
+        for quantity, joined in source.fields.items():
+            paths += split_paths(joined)
+            self.sampled |= set(split_paths(joined)) if quantity in SAMPLED else set()
+        self.parts: dict[str, list[NDArray[Any]]] = {path: [] for path in paths}
+        self.readers = {channel.id: self._reader(channel) for channel in source.channels}
+
+    def _reader(self, channel: LogChannel) -> FieldReader:
+        with error_context(*self.where):
+            paths = [path for path in self.parts if path not in RECORDER_STAMPS]
+            return open_reader(channel, paths, self.source.element)
+
+    def add(self, block: Block) -> None:
+        """Read a block if it is of this topic."""
+        if block.channel_id not in self.readers:
+            return
+        for whole, fields in self._readable(self.readers[block.channel_id], block):
+            part = whole.part(fields[ROWS][:, 0]) if ROWS in fields else whole
+            self.others += len(whole) - len(part)
+            if not len(part):
+                continue
+            chosen = slice(-self.count % self.every, None, self.every)
+            for path, parts in self.parts.items():
+                values = getattr(part, path)[:, None] if path in RECORDER_STAMPS else fields[path]
+                if path == stamp_path(self.source.stamp) and values.shape[1] == 2:
+                    # Seconds and nanoseconds; where they are missing, time 0 is wrong in any log.
+                    self.has_whole_times = True
+                    values = values[:, :1] * NS_PER_S + values[:, 1:]
+                    if values.dtype != np.int64:
+                        values = np.where(np.abs(values) < 2.0**63, values, 0.0).astype(np.int64)
+                values = values[chosen] if path in self.sampled else values
+                if len(values):
+                    parts.append(compact_rows(values))
+            self.runs.append((part.channel_id, len(part)))
+            self.count += len(part)
+
+    def _readable(self, reader: FieldReader, block: Block) -> Iterator[tuple[Block, Columns]]:
+        """Read a block, in halves and halves of halves where some of it cannot be read, part by part."""
+        try:
+            with error_context(*self.where):
+                columns = reader.columns(block)
+        except LogError as error:
+            if len(block) > 1:
+                half = len(block) // 2
+                yield from self._readable(reader, block.part(slice(None, half)))
+                yield from self._readable(reader, block.part(slice(half, None)))
+                return
+            self.fault = self.fault or error
+            self.unreadable_ns.append(int(block.log_time[0]))
+            if len(self.unreadable_ns) > max(_HOPELESS, self.count + self.others):
+                raise self.fault from None
+        else:
+            yield block, columns
+
+    def table(self) -> Table:
+        """Return what has been read."""
+        if not self.count:
+            raise self.fault or self._has_nothing()
+        # The parts are let go one column after another, since those of a long dive are large.
+        columns = {path: joined_rows(self.parts.pop(path)) for path in list(self.parts)}
+        sampled = {path: columns.pop(path) for path in self.sampled}
+        columns, channel_ids, rows = merge_channels(columns, self.runs)
+        sampled_rows = np.arange(0, self.count if sampled else 0, self.every)
+        if rows is not None:
+            order, sampled_rows = rows_among(sampled_rows, rows, self.count)
+            sampled = {path: values[order] for path, values in sampled.items()}
+        files = channel_ids // CHANNELS_OF_A_PART
+        table = Table(
+            where=self.where,
+            source=self.source,
+            columns=columns | sampled,
+            unreadable_ns=tuple(self.unreadable_ns),
+            fault=self.fault,
+            duplicates=0 if rows is None else self.count - len(rows),
+            known=next(iter(self.readers.values())).known,
+            files=files if files.size and files.min() != files.max() else None,
+            has_whole_times=self.has_whole_times,
+            others=self.others,
+            sampled=sampled_rows,
+        )
+        if self.unreadable_ns and not self.log.allow_damaged:
+            raise table.damage_error()
+        return table
+
+    def _has_nothing(self) -> LogError:
+        """State that there are no messages, or which elements there are where none is what was asked for."""
+        element = self.source.element
+        if element is None:
+            return LogError("has no messages", "the counts in the log's summary are wrong", *self.where)
+        seen = {texts for reader in self.readers.values() for texts in getattr(reader, "seen", ())}
+        pairs = [f"{self.source.role}.frames = {toml_value(texts)}" for texts in sorted(seen)]
+        asked = f"has no transform from {' to '.join(element.texts)}" if element.texts else ""
+        hint = f"it has {listed(pairs)}" if pairs else "its messages are empty"
+        return LogError(asked or "has transforms of many frames", hint, *self.where)
+
+
+def compact_rows(values: NDArray[Any]) -> NDArray[Any]:
+    """Return rows without the block that they are a part of; where all are the same, as a view of one."""
+    first, last = (values[row, 0] if values.shape[1] else 0 for row in (0, -1))
+    # The last row mostly tells that not all are the same.
+    if first == last or (first != first and last != last):
+        alike = np.broadcast_to(values[:1].copy(), values.shape)
+        if np.array_equal(alike, values, equal_nan=True):
+            return alike
+    return values if values.base is None else values.copy()
+
+
+def joined_rows(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Join the rows of a column; shorter ones are filled up with NaN; where all are the same, one stands for all."""
+    count, widths, dtype = sum(map(len, parts)), {part.shape[1] for part in parts}, np.result_type(*parts)
+    if len(widths) == 1 and all((len(part) == 1 or not part.strides[0]) and part.dtype == dtype for part in parts):
+        rows = np.concatenate([part[:1] for part in parts])
+        alike = np.broadcast_to(rows[:1], rows.shape)
+        if np.array_equal(alike, rows, equal_nan=True):
+            return np.broadcast_to(rows[:1], (count, rows.shape[1]))
+    # Component by component, as messages are read and as numpy goes through rows of three the fastest.
+    rows = np.empty((count, max(widths)), dtype if len(widths) == 1 else np.float64, order="F")
+    done = 0
+    for part in parts:
+        rows[done : done + len(part), : part.shape[1]] = part
+        if part.shape[1] < rows.shape[1]:
+            rows[done : done + len(part), part.shape[1] :] = np.nan
+        done += len(part)
+    return rows
+
+
+def rows_among(some: Rows, rows: Rows, count: int) -> tuple[Rows, Rows]:
+    """Find some rows of a table of so many among others: which there are, in the order of these, and their places."""
+    place = np.full(count, -1, np.int64)
+    place[rows] = np.arange(len(rows))
+    order = np.argsort(place[some], kind="stable")
+    order = order[place[some[order]] >= 0]
+    return order, place[some[order]]
+
+
+def merge_channels(columns: Columns, runs: Sequence[tuple[int, int]]) -> tuple[Columns, Rows, Rows | None]:
+    """Merge the messages of several channels by log time, each in its own order, and leave out repetitions.
+
+    The runs are channels, and how many messages in a row are of each. Repetitions are messages that another channel
+    holds too, with the same log time and values. Return the columns, the channel of each message (none where all are
+    of one), and which messages these are (None where all are of one channel).
+    """
+    if len({channel_id for channel_id, _ in runs}) < 2:
+        return columns, np.empty(0, np.int64), None
+    channel_ids = np.repeat(*np.transpose(runs))
+    # Sorted by the latest log time of its channel yet, no message moves against others of its channel.
+    reached, log_time = np.empty(channel_ids.size, np.int64), columns["log_time"][:, 0]
+    for channel_id in np.unique(channel_ids):
+        own = channel_ids == channel_id
+        reached[own] = np.maximum.accumulate(log_time[own])
+    order = np.argsort(reached, kind="stable")
+    columns = {path: values[order] for path, values in columns.items()}
+    kept = np.flatnonzero(~repeated_rows(columns, channel_ids[order]))
+    if len(kept) < len(order):
+        columns = {path: values[kept] for path, values in columns.items()}
+    return columns, channel_ids[order][kept], order[kept]
+
+
+def repeated_rows(columns: Columns, origin: Rows) -> Mask:
+    """Find which messages are as the one before, which is of another origin: another channel or file; shape (k,)."""
+    log_time = columns["log_time"][:, 0]
+    rows = 1 + np.flatnonzero((log_time[1:] == log_time[:-1]) & (origin[1:] != origin[:-1]))
+    same = np.ones(rows.size, np.bool_)
+    for values in columns.values():
+        now, before = values[rows], values[rows - 1]
+        same &= np.all((now == before) | (np.isnan(now) & np.isnan(before)), axis=1)
+    repeated = np.zeros(origin.size, np.bool_)
+    repeated[rows] = same
+    return repeated

@@ -5,31 +5,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from insdvl_replay.logs.columns.table_reading import ColumnBuffer
+from insdvl_replay.logs.columns.tables import compact_rows, joined_rows
 
 NUMBERS = st.sampled_from([0.0, 1.0, np.nan])
-BLOCKS = st.lists(st.lists(NUMBERS, max_size=4), max_size=6)
+BLOCKS = st.lists(st.lists(NUMBERS, min_size=1, max_size=4), min_size=1, max_size=6)
 
 
-def filled(*blocks: NDArray[np.generic], announced: int = 0) -> NDArray[np.generic]:
-    column = ColumnBuffer(announced)
-    for block in blocks:
-        column.add(block)
-    assert len(column) == sum(map(len, blocks))
-    return column.rows()
+def filled(*blocks: NDArray[np.generic]) -> NDArray[np.generic]:
+    return joined_rows([compact_rows(block) for block in blocks])
 
 
 @settings(derandomize=True, deadline=None)
-@given(BLOCKS, st.integers(0, 30))
-def test_rows_are_those_of_the_blocks_however_many_were_announced(numbers: list[list[float]], announced: int) -> None:
+@given(BLOCKS)
+def test_rows_are_those_of_the_blocks(numbers: list[list[float]]) -> None:
     blocks = [np.array(block, dtype=np.float64).reshape(-1, 1) for block in numbers]
-    rows = np.concatenate([np.empty((0, 1)), *blocks])
-    np.testing.assert_array_equal(filled(np.empty((0, 1)), *blocks, announced=announced), rows)
+    np.testing.assert_array_equal(filled(*blocks), np.concatenate(blocks))
 
 
 def test_a_column_of_rows_that_are_alike_takes_the_room_of_one() -> None:
     block = np.tile([[-1.0, np.nan, 3.0]], (1000, 1))
-    rows = filled(*[block] * 50, announced=50_000)
+    rows = filled(*[block] * 50)
     assert rows.shape == (50_000, 3)
     assert rows.strides[0] == 0
     np.testing.assert_array_equal(rows, np.tile(block, (50, 1)))

@@ -1,0 +1,283 @@
+"""Rows made clean: in the order of time, each time once, every number finite; and a note of every loss.
+
+A log does not say what never came into it. Its stamps do where a sensor is regular: then pauses are two, three or more
+usual steps, and nothing between. Where stamps jitter, come in bursts or follow a rate that changes, pauses are of any
+length, or of one length in a row or at even distances, and nothing is said of samples that are lost one by one.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Scalar, TimeNs, is_new, nanoseconds, seconds
+from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.words import Severity
+from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S, Mask, Rows, find_order
+from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, repeated_rows
+
+
+def is_few(count: int, size: int) -> bool:
+    """Return whether faults are single ones: one, or a small share of all, of which more are wrong in another way."""
+    return count <= max(1.0, 0.05 * size)
+
+
+def same_rows(rows: Floats, others: Floats) -> Mask:
+    """Find which rows are identical, where NaN is the same as NaN."""
+    return np.asarray(((rows == others) | (np.isnan(rows) & np.isnan(others))).all(axis=1))
+
+
+class Cleaner:
+    """Chooses the rows of a topic that stay, and notes why the others went.
+
+    Values and masks of good rows have one row for each of the k messages in the file. A `LogError` where the stamps
+    contradict the recorder's clock in more than single messages, or two files hold different messages of the same time.
+    """
+
+    def __init__(self, table: Table) -> None:
+        self.table = table
+        self.role = table.source.role  # its code begins those of the notes
+        self.notes: list[Note] = []
+        self.time_ns = table.time_ns()  # (k,), times of validity in the order of the file
+        log_time_ns = table.columns["log_time"][:, 0]
+        raise_if_two_dives(table, self.time_ns)
+        order = find_order(self.time_ns, log_time_ns)
+        self.rows: Rows = order.rows  # that stay, in the order of time
+        self._first_ns = int(self.time_ns[order.rows[0]])
+        if order.wrong.size:
+            first_s = float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min())
+            text = (
+                f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{table.source.stamp}' that jump "
+                f"while the log time goes on; the first {first_s:.3f} s after the first message"
+            )
+            hint = f'{self.role}.stamp = "log_time"'
+            if order.jump_s > SAME_CLOCK_S:
+                raise LogError(f"{text}; their clock was set back by {order.jump_s:.3f} s", hint, *table.where)
+            if not is_few(order.wrong.size, self.time_ns.size):
+                raise LogError(text, hint, *table.where)
+            code, text = f"{table.source.code}_wrong_stamps", f"{self.role}: {text}; dropped"
+            self.notes.append(Note(code, text, order.wrong.size, Severity.WARNING, hint))
+        if order.late.size:
+            text = f"messages came after later ones (by up to {order.late_s:.3f} s); sorted"
+            self.note("out_of_order", text, order.late.size, first=order.late)
+
+    @property
+    def times(self) -> TimeNs:
+        """The times of the rows that stay."""
+        return self.kept(self.time_ns)
+
+    @property
+    def stamp_hint(self) -> str:
+        """What helps where the stamps are those of a delivery."""
+        return f'{self.role}.stamp = "field.path" names the time of the sensor itself, if the messages hold it'
+
+    def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Return of values the rows that stay, in the order of time; the same array where all stay in place."""
+        return values[self.rows] if self.notes else values  # no row is dropped or moved without a note
+
+    def keep(self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = "") -> None:
+        """Drop the rows that are not good; the reason says what the dropped messages are like."""
+        self._keep_rows(good[self.rows], code, reason, severity, hint)
+
+    def keep_where(self, quantity: str, good: Callable[[Floats], Mask], code: str, reason: str) -> None:
+        """Drop the rows of which a number of a quantity is not good, if the topic holds it."""
+        if quantity in self.table:
+            self.keep(np.asarray(good(self.table.values(quantity)).all(axis=1)), code, reason)
+
+    def keep_finite(
+        self, *values: Floats, hint: str = "", reason: str = "messages hold a number that is not finite"
+    ) -> None:
+        """Drop the rows in which a number is missing; with a hint it is a warning if more than single ones lack it."""
+        # The extremes of a column of which a number is missing are missing.
+        if all(np.isfinite([array.min(), array.max()]).all() for array in values if array.size):
+            return
+        finite = np.ones(self.time_ns.size, np.bool_)
+        for column in (column for array in values for column in array.T):
+            finite &= np.isfinite(column)
+        lost = ~finite[self.rows]
+        single = not np.any(lost[1:] & lost[:-1])
+        self.keep(finite, "not_finite", reason, Severity.WARNING if hint and not single else Severity.INFO, hint)
+
+    def keep_possible(self, possible: Mask, reason: str, hint: str) -> None:
+        """Drop the few rows that no sensor can have meant; many are no fault of single rows but of the unit."""
+        if is_few(int(np.count_nonzero(~possible)), possible.size):
+            self.keep(possible, "impossible", reason, Severity.WARNING, hint)
+
+    def require_rows(self) -> None:
+        """Refuse a role of which nothing stays."""
+        if not self.rows.size:
+            reasons = "; ".join(note.text for note in self.notes)
+            hint = f"`inspect` lists the topics; {self.role}.topic names another one"
+            raise LogError(f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where)
+
+    def drop_repeated_times(self, *values: Floats) -> None:
+        """Keep the first of several rows with the same time.
+
+        Rows with the same time that differ in the values, (k, n), were stamped as they were delivered, several
+        together; where these are more than few, it is a warning.
+        """
+        times = self.times
+        again = np.flatnonzero(times[1:] == times[:-1]) + 1
+        differ = np.zeros(again.size, np.bool_)
+        for array in values:
+            differ |= ~same_rows(array[self.rows[again]], array[self.rows[again - 1]])
+        count = int(np.count_nonzero(differ))
+        if not is_few(count, times.size):
+            reason = "messages have the time of the one before and other values, as if several were stamped together"
+            if count > 0.5 * times.size:  # without most of its messages, a topic is not the same any more
+                hint = f'{self.stamp_hint}; {self.role}.stamp = "log_time" takes the recorder\'s'
+                raise LogError(f"{count} of {times.size} {reason}", hint, *self.table.where)
+            good = np.ones(times.size, np.bool_)
+            good[again[differ]] = False
+            self._keep_rows(good, "same_times", reason, Severity.WARNING, self.stamp_hint)
+        self._keep_rows(is_new(self.times), "repeats", "messages repeat the time of the one before")
+
+    def drop_repeated_values(self, values: Floats) -> None:
+        """Keep the first of consecutive rows with identical values, as a recorder writes that publishes faster."""
+        ordered = values[self.rows]
+        first = np.ones(len(ordered), np.bool_)
+        first[1:] = ~same_rows(ordered[1:], ordered[:-1])
+        self._keep_rows(first, "same_values", "messages repeat the values of the one before")
+
+    def note_missing(self, quantity: str, values: Floats) -> None:
+        """Count the rows that stay without a quantity, named in the plural, which others of them give."""
+        missing = ~np.isfinite(self.kept(values)).all(axis=1)
+        count = int(np.count_nonzero(missing))
+        if 0 < count < missing.size:
+            text = f"{quantity} of {missing.size} are not finite, and count as missing"
+            self.note("not_finite", text, count, first=self.rows[missing])
+
+    def note(
+        self,
+        code: str,
+        text: str,
+        count: int,
+        severity: Severity = Severity.INFO,
+        hint: str = "",
+        first: Rows | None = None,
+    ) -> None:
+        """Add a note about some of the rows, of which the earliest is told."""
+        first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
+        text = f"{self.role}: {count} {text}; the first {first_s:.3f} s after the first message"
+        self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
+
+    def _keep_rows(
+        self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = ""
+    ) -> None:
+        dropped = int(np.count_nonzero(~good))
+        if dropped:
+            self.note(code, f"{reason}; dropped", dropped, severity, hint, first=self.rows[~good])
+            self.rows = self.rows[good]
+
+
+def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
+    """Refuse a topic of which two files hold different messages of the same time.
+
+    Files may follow one another, fill each other's gaps, or hold the same messages, of which each recorder lost some.
+    """
+    if table.files is None:
+        return
+    order = np.lexsort((table.files, time_ns))
+    files, time_ns = table.files[order], time_ns[order]
+    whole = {path: column for path, column in table.columns.items() if len(column) == len(files)}
+    values = {path: column[order] for path, column in whole.items() if path not in RECORDER_STAMPS}
+    repeated = repeated_rows(values | {"log_time": time_ns[:, None]}, files)
+    alone = ~repeated  # messages that no other file has
+    alone[:-1] &= ~repeated[1:]
+    for file in np.unique(files).tolist():
+        own = files == file
+        # The time of the file and of all others together.
+        first_ns = max(time_ns[own][0], time_ns[~own][0])
+        last_ns = min(time_ns[own][-1], time_ns[~own][-1])
+        both = (time_ns >= first_ns) & (time_ns <= last_ns)
+        ours, theirs = (int(np.count_nonzero(rows & both & alone)) for rows in (own, ~own))
+        # A recorder loses at most 5 %, so that another one alone has them.
+        if min(ours, theirs) > max(1.0, 0.05 * np.count_nonzero(both)):
+            raise LogError(
+                f"in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
+                f"overlap, {ours} messages of one lie among {theirs} others of the same topic",
+                "name only files of one dive that follow one another, or replay each alone, without --one-dive",
+                *table.where,
+            )
+
+
+def note_lost_samples(cleaner: Cleaner) -> None:
+    """Note samples for which stamps leave a place, but which the log does not hold."""
+    steps_ns = np.diff(cleaner.times)
+    if not steps_ns.size or steps_ns.max() < 1.5 * steps_ns.mean():
+        return  # as of nearly all logs
+    stamped = np.flatnonzero(steps_ns)
+    step_ns = steps_ns[stamped].astype(np.float64)
+    # The lower quartile is the usual step while less than three samples of four are lost. It is the mean of those about
+    # it, as stamps may be rounded. Steps within 0.2 of a multiple count as that; of any length, two in five would.
+    first_ns = float(np.quantile(step_ns, 0.25))
+    in_steps = step_ns / step_ns[np.abs(step_ns / first_ns - 1.0) <= 0.2].mean()
+    multiples = np.round(in_steps)
+    near = np.abs(in_steps - multiples) <= 0.2
+    pauses = (in_steps > 1.5) & (in_steps < 10.5)  # longer ones are outages, which have a note of their own
+    # Fewer than six pauses may be near a multiple by chance, and jitter is near none.
+    if np.count_nonzero(pauses) < 6 or near.mean() < 0.8 or near[pauses].mean() < 0.9:
+        return
+    # Where a rate changes, pauses follow one another; alternating steps do so never; pauses in turn are evenly apart.
+    share, distances = pauses.mean(), np.diff(np.flatnonzero(pauses))
+    correlated = abs(np.mean(pauses[1:] & pauses[:-1]) - share**2) > 0.4 * share * (1.0 - share)
+    if correlated or distances.std() <= 0.4 * distances.mean():
+        return
+    lost = int(np.sum(multiples[pauses & near] - 1.0))
+    share = lost / (lost + cleaner.times.size)
+    usual_s = float(np.median(steps_ns[stamped[~pauses & near]])) / NS_PER_S
+    text = (
+        f"samples, {100.0 * share:.2g} % of all, are not in the log: pauses are multiples of the usual {usual_s:.4g} s"
+    )
+    severity, hint = Severity.INFO, ""
+    if share >= 0.05:  # from where on it may change how far a result is to be believed
+        hint = "what was not recorded cannot be replayed: look for a recorder or a network that cannot follow"
+        severity = Severity.WARNING
+    cleaner.note("lost_samples", text, lost, severity, hint, first=cleaner.rows[stamped[pauses & near]])
+
+
+def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
+    """Note rows that came several at once, so that their times are those of the delivery."""
+    # The usual step is none longer than the mean.
+    if not steps_ns.size or steps_ns.min() >= 0.2 * steps_ns.mean():
+        return
+    # Without the pauses in which samples are lost. The median would be that within bursts of more than two samples.
+    usual_ns = float(steps_ns[steps_ns <= np.quantile(steps_ns, 0.95)].mean())
+    together = np.flatnonzero(steps_ns < 0.2 * usual_ns)
+    if together.size <= 0.05 * steps_ns.size:  # by the jitter of stamps that are otherwise regular
+        return
+    text = (
+        f"samples, {together.size / steps_ns.size:.0%} of all, are stamped less than 0.2 of the usual step of "
+        f"{usual_ns / NS_PER_S:.4f} s after the one before: stamps in bursts are those of a delivery"
+    )
+    hint = f"{cleaner.stamp_hint}; else raise {remedy} until the mean NIS is that of a consistent filter"
+    cleaner.note("bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together])
+
+
+def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
+    """Note pauses between rows in which several are missing, and steps that are no pause of a dive."""
+    max_gap_ns = nanoseconds(max_gap_s)
+    is_short = pauses_ns <= max_gap_ns
+    short_ns = pauses_ns if is_short.all() else pauses_ns[is_short]
+    # Five steps are more than the jitter of stamps that come in bursts.
+    least_ns = min(5.0 * float(short_ns.mean()), max_gap_ns) if short_ns.size else max_gap_ns
+    gaps = np.flatnonzero(pauses_ns > least_ns)
+    if not gaps.size:
+        return
+    long = int(np.count_nonzero(pauses_ns > max_gap_ns))
+    text = (
+        f"gaps are longer than {least_ns / NS_PER_S:.3g} s, the longest of {pauses_ns.max() / NS_PER_S:.3f} s, "
+        f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s in all; {long} longer than {max_gap_s:g} s"
+    )
+    hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
+    cleaner.note("gaps", text, gaps.size, Severity.WARNING if long else Severity.INFO, hint, first=cleaner.rows[gaps])
+    # No recorder waits for a day in the middle of a dive; one without a clock of its own begins in 1970.
+    steps = np.flatnonzero(pauses_ns > 86_400 * NS_PER_S)
+    if steps.size:
+        before, after = (np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1))
+        text = (
+            f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set while the log was "
+            "recorded, or two dives are in it"
+        )
+        hint = "--start and --end choose what is before or behind"
+        cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps])

@@ -1,0 +1,218 @@
+"""Which topic plays which role: by type where only one topic has a known type, else as the settings say."""
+
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from insdvl_replay.core.config import key_of
+from insdvl_replay.core.errors import LogError, error_context, listed, nearest
+from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
+from insdvl_replay.logs.formats.fields import Element, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
+from insdvl_replay.logs.formats.types import full_name
+
+OWN_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
+BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
+PROPOSED: Final = ("imu", "dvl", "reference")  # roles for which `inspect` proposes topics and fields of unknown types
+_MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")  # whole messages, as BlueOS records them
+_TELEMETRY: Final = re.compile(r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$")  # of MAVLink, too slow to be replayed
+_FULL_RATE: Final = (
+    "the vehicle's .BIN has every sample, if LOG_REPLAY was 1: clydemcqueen/dive_to_bag writes a bag of it; "
+    "docs/inputs.md says more"
+)
+Section = TypeVar("Section", bound=msgspec.Struct)
+
+
+def code_of(role: str) -> str:
+    """Return the beginning of the codes of notes on a role; all onboard solutions share one."""
+    return "solution" if role.startswith("filters.") else role
+
+
+def solution_role(name: str) -> str:
+    """Return the role of the topics of a filter's solution: its section in the settings."""
+    return f"filters.{name}.solution"
+
+
+def solution_name(role: str) -> str | None:
+    """Return which filter's solution plays a role; None where none does."""
+    return role.removeprefix("filters.").removesuffix(".solution") if role.startswith("filters.") else None
+
+
+@dataclass(frozen=True)
+class Source:
+    """A topic that plays a role."""
+
+    role: str  # imu, dvl, reference, truth, a sensor, topics.NAME or filters.NAME.solution
+    topic: str
+    type_name: str
+    channels: tuple[LogChannel, ...]  # those of the topic that have messages
+    fields: Fields
+    stamp: str  # header, log_time, publish_time or a field path
+    latency_s: float  # from validity to stamp
+    conventions: Mapping[str, Any] = field(default_factory=dict)  # of the type, where the settings leave a key out
+    element: Element | None = None  # which elements of a list in the messages count, each as if it were a message
+
+    @property
+    def code(self) -> str:
+        """The beginning of the codes of notes on it."""
+        return code_of(self.role)
+
+    def completed(self, section: Section) -> Section:
+        """Fill in by the type what this role's settings leave out."""
+        left_out = {key: value for key, value in self.conventions.items() if getattr(section, key) is None}
+        return msgspec.structs.replace(section, **left_out)
+
+
+@dataclass(frozen=True)
+class TopicRequirement:
+    """What a role needs of a topic: a type that is known by name, or the field paths of the settings."""
+
+    role: str
+    key: str  # of the settings that names the topic; empty where none does
+    topic: str | None  # that the settings name
+    by_type: Sequence[Types] = ()  # of several groups of types, the first that the log has is taken
+    if_named: Types = field(default_factory=dict)  # types that only a topic may have that the settings name
+    paths: Mapping[str, str | None] = field(default_factory=dict)  # field paths of the settings by quantity
+    enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
+    together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
+    stamp: str | None = None
+    latency_s: float = 0.0  # from validity to stamp
+    frames: tuple[str, str] | None = None  # parent and child of the transforms that count
+
+    def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
+        """Make a topic the source of the role."""
+        for channel in channels:
+            check_encoding(channel)
+        type_name, name = channels[0].type_name, type_of(channels[0])
+        with error_context(topic):
+            paths = channel_paths(channels[0])
+        known = next((types[name] for types in (*self.by_type, self.if_named) if name in types), KnownType())
+        # The same type name comes with different fields.
+        fields = {
+            quantity: path
+            for quantity, path in known.fields.items()
+            if not paths or all(find_path(part, paths) for part in split_paths(path))
+        }
+        fields |= {name: path for name, path in self.paths.items() if path}
+        given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
+        for quantities in self.together:
+            if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
+                missing = f'{self.role}.{lacking[0]} = "field.path"'
+                raise LogError(f"topic '{topic}' gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
+        if not any(quantities <= fields.keys() for quantities in self.enough):
+            reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
+            if known.fields:
+                reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
+            raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
+        stamp = self.stamp
+        if stamp is None:
+            by_type = known.stamp == LOG_TIME or find_path(known.stamp, paths)
+            stamp = known.stamp if by_type else "header" if find_path("header.stamp", paths) else LOG_TIME
+        element = None
+        if known.element:
+            element = Element(known.element[0], known.element[1:], self.frames or ())
+        elif self.frames is not None:
+            raise LogError(f"topic '{topic}' has no transforms, and {self.role}.frames is set", "leave it out")
+        return Source(
+            self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions, element
+        )
+
+    def how_to_name(self) -> str:
+        """State which keys lead to a topic of an unknown type."""
+        if not self.paths:
+            return f"known are {', '.join(name for types in (*self.by_type, self.if_named) for name in types)}"
+        ways = sorted(sorted(quantities) for quantities in self.enough)
+        joined = " or ".join(" and ".join(f'{self.role}.{name} = "field.path"' for name in way) for way in ways)
+        does = "proposes what to set" if self.role in PROPOSED else "lists the topics"
+        return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` {does}'
+
+
+def requirement(
+    section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any
+) -> TopicRequirement:
+    """State what a role needs, with what its settings say of topic, fields and stamp."""
+    return TopicRequirement(
+        role=role,
+        key=f"{role}.{key}",
+        topic=getattr(section, key),
+        paths={quantity: getattr(section, quantity) for quantity in quantities},
+        stamp=section.stamp,
+        latency_s=section.latency_s,
+        frames=getattr(section, "frames", None) if key == "topic" else None,
+        **needs,
+    )
+
+
+def type_of(channel: LogChannel) -> str:
+    """Return the type of a channel's messages as it is known: ROS 1's as ROS 2's, MAVLink's in JSON by its topic."""
+    mavlink = _MAVLINK.search(channel.topic) if channel.encoding == "json" else None
+    return f"mavlink.{mavlink[1]}" if mavlink else full_name(channel.type_name)
+
+
+class Topics:
+    """The topics of a log that have messages; the place is the file in messages to the user."""
+
+    def __init__(self, place: str, channels: Sequence[LogChannel]) -> None:
+        self.place = place
+        self._channels = by_topic(channel for channel in channels if channel.messages)
+        self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
+        announced = f" Announced are {listed(sorted(self._empty))}" if self._empty else ""
+        self._nothing_recorded = f"was anything recorded?{announced}"
+        self.reason_for_none = "no message is of a type known for one" if self._channels else "the log has no messages"
+
+    def source(self, required: TopicRequirement, topic: str) -> Source:
+        """Make a topic the source of a role."""
+        if topic in self._channels:
+            return required.source(topic, self._channels[topic])
+        meant = nearest(topic, self._channels)
+        hint = f'the nearest is {required.key} = "{meant}"' if meant else self._nothing_recorded
+        if required.key.endswith(".solution.topic") and key_of(topic) == "file":
+            hint = f'a file is {required.key.removesuffix("topic")}file = "{topic}"'
+        elif self._channels and not meant:
+            hint = f"those with messages are {listed(sorted(self._channels))}"
+        raise LogError(f"has no messages on topic '{topic}' ({required.key})", hint)
+
+    def candidates(self, required: TopicRequirement, besides: Collection[str]) -> list[str]:
+        """Name the topics of the first group of types that the log has, the better types first."""
+        type_names = {topic: type_of(channels[0]) for topic, channels in self._channels.items() if topic not in besides}
+        for types in required.by_type:
+            if found := [topic for topic, type_name in type_names.items() if type_name in types]:
+                order = list(types)
+                return sorted(found, key=lambda topic: order.index(type_names[topic]))
+        return []
+
+    def find(self, required: TopicRequirement, besides: Collection[str] = ()) -> Source | None:
+        """Find the topic of a role, not looking at those of others."""
+        if required.topic is not None:
+            return self.source(required, required.topic)
+        candidates = self.candidates(required, besides)
+        if len(candidates) > 1:
+            named = " or ".join(f'{required.key} = "{topic}"' for topic in candidates)
+            hint = named if required.key else "keep one of them"
+            raise LogError(f"{' and '.join(candidates)} could each be the {required.key or required.role}", hint)
+        return self.source(required, candidates[0]) if candidates else None
+
+    def need(self, required: TopicRequirement) -> Source:
+        """Find the topic of a role that a replay cannot do without; else say which topics might have been it."""
+        if (source := self.find(required)) is not None:
+            return source
+        role = required.role
+        lack = f"has no {role.upper() if role in ('imu', 'dvl') else f'topic for the {role}'}"
+        if not self._channels:
+            raise LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
+        slow = sorted(topic for topic in self._channels if _TELEMETRY.search(topic))
+        if role == "imu" and slow:
+            text = f"{lack} that can be replayed: {listed(slow, 3)} is telemetry and too slow"
+            raise LogError(text, _FULL_RATE)
+        wanted = [type_name for types in required.by_type for type_name in types]
+        empty = sorted(topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted)
+        found = sorted({channel.type_name or topic for topic, same in self._channels.items() for channel in same})
+        but = f"; {listed(empty)} would be, without a single message" if empty else ""
+        raise LogError(
+            f"{lack}: no message is of a type known for one ({', '.join(wanted)}); it has {listed(found)}{but}",
+            required.how_to_name(),
+        )

@@ -1,0 +1,304 @@
+"""A log becomes a dive: which topics play the roles, and what becomes of their messages."""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import (
+    Dive,
+    DvlColumns,
+    ImuColumns,
+    ReferenceColumns,
+    SensorColumns,
+    SolutionColumns,
+    TruthColumns,
+)
+from insdvl_replay.core.dive_record import Channel, Clock, dive_name
+from insdvl_replay.core.errors import LogError, Note, error_context
+from insdvl_replay.core.quantities import IS_REFERENCE
+from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.core.states import SENSORS
+from insdvl_replay.core.words import Severity
+from insdvl_replay.logs.columns.clocks import clock_notes, stamp_unit
+from insdvl_replay.logs.columns.dvl import decode_dvl, dvl_requirement
+from insdvl_replay.logs.columns.imu import TRUTH_REQUIREMENT, decode_imu, decode_truth, imu_requirement
+from insdvl_replay.logs.columns.reference import (
+    decode_reference,
+    decode_solution,
+    fix_requirement,
+    own_solution_requirement,
+    read_tum,
+    reference_requirement,
+)
+from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor, sensor_requirement
+from insdvl_replay.logs.columns.tables import Table, read_tables
+from insdvl_replay.logs.columns.topics import (
+    OWN_TOPIC,
+    Source,
+    TopicRequirement,
+    Topics,
+    requirement,
+    solution_name,
+    solution_role,
+)
+from insdvl_replay.logs.formats.log_file import COPY_AGAIN, LogChannel, by_topic
+from insdvl_replay.logs.formats.recording import open_recording
+from insdvl_replay.logs.formats.types import missing_types
+
+
+def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
+    """Read everything that is needed to replay a dive, from a log, a folder with the parts of one, or several.
+
+    The columns are clean and every loss is a note. Whether they can be true is not asked, and the span of the settings
+    is not applied. A `LogError` where the file cannot be read, changes meanwhile or is damaged (unless that is
+    allowed), has no IMU or DVL, is not clear about which topic is which, or mixes clocks; a `ConfigError` where axes
+    or beam geometry of the settings cannot be.
+    """
+    report_stage("reading the log")
+    log = open_recording(path, allow_damaged=allow_damaged)
+    place, name = str(log.path), dive_name(log.path)
+    config = config.of_dive(name)
+    findings = find_roles(place, log.channels, config)
+    for error in filter(None, (finding.error for finding in findings)):
+        raise error
+    sources = [source for finding in findings for source in finding.sources]
+    with log.watched(), ThreadPoolExecutor(1) as checker:
+        digests = checker.submit(log.digests)
+        tables = read_tables(log, sources)
+        log.check_unopened()
+        sha256 = log.sha256(digests.result())
+    notes = [*log.notes, *source_notes(sources), *loss_notes(tables), *stamp_notes(tables)]
+    role_of = {source.topic: source.role for source in reversed(sources)}
+    channels = tuple(
+        Channel(
+            topic=topic,
+            type_name=same[0].type_name,
+            encoding=same[0].encoding,
+            role=role_of.get(topic, ""),
+            messages=sum(channel.messages for channel in same),
+        )
+        for topic, same in sorted(by_topic(log.channels).items())
+    )
+    del log  # its file was mapped, and decoding needs the room
+    columns = RoleColumns(place, config)
+    notes += columns.clock_notes([table.clock() for table in tables])
+    for finding in filter(lambda finding: finding.sources, findings):
+        notes += columns.decode(finding.role, [tables.pop(0) for _ in finding.sources])
+    for filter_name, settings in config.solutions.items():
+        if settings.file is not None:
+            role = solution_role(filter_name)
+            columns.solutions[filter_name], found = read_tum(Path(settings.file), settings, role)
+            notes += found
+    if columns.imu is None:
+        raise ValueError("a dive without an IMU is an error of its finding")
+    return Dive(
+        name=name,
+        imu=columns.imu,
+        dvl=columns.dvl,
+        reference=columns.reference,
+        truth=columns.truth,
+        sensors=columns.sensors,
+        solutions=columns.solutions,
+        topics=columns.topics,
+        sha256=sha256,
+        channels=channels,
+        notes=tuple(notes),
+    )
+
+
+def source_notes(sources: Sequence[Source]) -> Iterator[Note]:
+    """Note the topics whose log has no schema, or a part of one, and the solutions in messages of the reference."""
+    for source in sources:
+        if source.channels[0].encoding != "cdr":
+            continue
+        texts = {
+            (channel.type_name, channel.schema_text)
+            for channel in source.channels
+            if channel.schema_encoding != "ros2idl"
+        }
+        missing = {name for type_name, text in texts for name in missing_types(type_name, text)}
+        lacking = f" of {', '.join(sorted(missing))}; what comes with the tool" if missing else ""
+        if not all(channel.schema_text.strip() for channel in source.channels):
+            lacking = f"; that of {source.type_name}"
+        if lacking:
+            yield Note("builtin_definition", f"{source.topic}: the log has no schema{lacking} was assumed")
+    of_reference = {source.topic for source in sources if source.role == "reference"}
+    for source in sources:
+        name = solution_name(source.role)
+        if name is not None and source.topic in of_reference:
+            text = f"{source.role} is read from messages of {source.topic}, as the reference is, and may know of it"
+            hint = "reference.topic and reference.fix name what it is to be judged by"
+            yield Note(f"solution_{name}{IS_REFERENCE}", text, 1, Severity.WARNING, hint)
+
+
+def loss_notes(tables: Iterable[Table]) -> list[Note]:
+    """Note messages that are missing, do not fit their schema, or are in more than one channel or file."""
+    missing, left_out = [], []
+    for table in tables:
+        source, unreadable = table.source, len(table.unreadable_ns)
+        announced = sum(channel.messages for channel in source.channels)
+        found = len(table) + table.others + table.duplicates + unreadable
+        if announced != found:
+            text = f"{source.topic}: the log announces {announced} messages, and {found} are found"
+            missing.append(Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN))
+        if unreadable and table.fault is not None:
+            behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
+            text = (
+                f"{source.topic}: {unreadable} messages cannot be read and are left out, the first "
+                f"{behind_s.min():.3f} s and the last {behind_s.max():.3f} s behind the first that can: "
+                f"{table.fault.message}"
+            )
+            left_out.append(Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN))
+        if table.duplicates:
+            text = f"{source.topic}: {table.duplicates} messages are in two channels or files; each is used once"
+            left_out.append(Note("messages_repeated", text, table.duplicates))
+    return [*missing, *left_out]
+
+
+def stamp_notes(tables: Iterable[Table]) -> Iterator[Note]:
+    """Note how stamps that are mere numbers were understood."""
+    for table in tables:
+        if (numbers := table.stamp_numbers) is not None:
+            unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
+            text = f"{table.source.topic}: stamp '{table.source.stamp}' was read as {unit}"
+            yield Note(f"{table.source.code}_stamp_unit", text)
+
+
+@dataclass
+class RoleColumns:
+    """The columns of the roles as far as they are read; the place is the file in messages to the user."""
+
+    place: str
+    config: Config
+    imu: ImuColumns | None = None
+    dvl: DvlColumns = field(default_factory=lambda: DvlColumns(np.empty(0, np.int64), velocity_d=np.empty((0, 3))))
+    reference: ReferenceColumns | None = None
+    truth: TruthColumns | None = None
+    sensors: dict[str, SensorColumns] = field(default_factory=dict)
+    solutions: dict[str, SolutionColumns] = field(default_factory=dict)
+    topics: dict[str, SensorColumns] = field(default_factory=dict)
+
+    def decode(self, role: str, tables: list[Table]) -> list[Note]:
+        """Make the columns of a role; the raw ones are let go, since those of a long dive are large."""
+        if role == "reference":
+            self.reference, notes = decode_reference(tables, self.config.reference, self.config.initial)
+        elif role == "imu":
+            self.imu, notes = decode_imu(tables.pop(), self.config.imu)
+        elif role == "dvl":
+            self.dvl, notes = decode_dvl(tables.pop(), self.config.dvl)
+        elif role in SENSORS:
+            self.sensors[role], notes = decode_sensor(role, tables.pop(), self.config)
+        elif (name := solution_name(role)) is not None:
+            self.solutions[name], notes = decode_solution(tables, self.config.solutions[name])
+        elif role.startswith(OWN_TOPIC):
+            self.topics[role.removeprefix(OWN_TOPIC)], notes = decode_own_topic(tables.pop())
+        else:
+            self.truth, notes = decode_truth(tables.pop())
+        return notes
+
+    def clock_notes(self, clocks: Sequence[Clock]) -> tuple[Note, ...]:
+        """Compare the clocks of the roles, that of the IMU first."""
+        return clock_notes(self.place, clocks, self.config.clocks.max_disagreement_s)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found for one role."""
+
+    role: str
+    sources: tuple[Source, ...]  # those that a replay reads; none, or for a reference up to two
+    reason: str
+    error: LogError | None = None  # why a replay would stop here
+    candidates: tuple[Source, ...] = ()  # where several topics could play the role, each of them
+
+
+def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tuple[Finding, ...]:
+    """Find the topic for each role: IMU, DVL, reference, and truth where the log has it.
+
+    A finding has an error where no topic is an IMU or a DVL, several are and the settings name none, a named topic is
+    missing, its type is not known and the settings do not name its fields, or its messages cannot be read.
+    """
+    topics = Topics(place, channels)
+
+    def needed(required: TopicRequirement) -> Finding:
+        return _explained(topics, required, lambda: (topics.need(required),))
+
+    imu, dvl = needed(imu_requirement(config)), needed(dvl_requirement(config))
+    besides = {source.topic for source in dvl.sources} | {own.topic for own in config.solutions.values() if own.topic}
+    required = reference_requirement(config)
+    reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
+    sensors = [needed(sensor_requirement(name, config)) for name in config.sensors]
+    for name, section in config.topics.items():
+        sensors.append(needed(requirement(section, f"{OWN_TOPIC}{name}", ("values",), enough=[{"values"}])))
+    for name, settings in config.solutions.items():
+        if settings.topic is None:
+            continue
+        wanted = [own_solution_requirement(settings, solution_role(name))]
+        wanted += [fix_requirement(settings, solution_role(name))] if settings.fix is not None else []
+
+        def look(wanted: Sequence[TopicRequirement] = wanted) -> tuple[Source, ...]:
+            sources = tuple(map(topics.need, wanted))
+            for source, other in product(sources, reference.sources):
+                shared = [path for quantity, path in source.fields.items() if other.fields.get(quantity) == path]
+                if other.topic == source.topic and shared:
+                    text = f"{source.role} reads {shared[0]} of topic '{source.topic}', which is the reference"
+                    hint = "reference.topic and reference.fix name what it is to be judged by"
+                    raise LogError(f"{text}: its error would be 0", hint)
+            return sources
+
+        sensors.append(_explained(topics, wanted[0], look))
+    truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
+    return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
+
+
+def idle_sensors(
+    place: str, channels: Sequence[LogChannel], findings: Sequence[Finding], config: Config
+) -> dict[str, list[str]]:
+    """Name the topics of unused sensors, by sensor: they could aid a filter and play no other role."""
+    topics, asked = Topics(place, channels), {finding.role for finding in findings}
+    taken = {source.topic for finding in findings for source in (*finding.sources, *finding.candidates)}
+    found = {name: topics.candidates(sensor_requirement(name, config), taken) for name in SENSORS if name not in asked}
+    return {name: candidates for name, candidates in found.items() if candidates}
+
+
+def _explained(
+    topics: Topics, required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: Collection[str] = ()
+) -> Finding:
+    """Say why these sources, or why none: of the topics that could each be it, those that can be read are given."""
+    possible = topics.candidates(required, besides) if required.topic is None else []
+
+    def readable() -> Iterator[Source]:
+        for topic in possible if len(possible) > 1 else []:
+            with suppress(LogError):
+                yield topics.source(required, topic)
+
+    try:
+        with error_context(topics.place):
+            sources = look()
+    except LogError as error:
+        candidates = tuple(readable())
+        reason = "see what stops a replay"
+        if candidates:
+            reason = f"{', '.join(source.topic for source in candidates)} could each be it"
+        elif required.topic is None and not possible:
+            reason = topics.reason_for_none
+        return Finding(required.role, (), reason, error, candidates)
+    if not sources:
+        return Finding(required.role, (), topics.reason_for_none)
+    named = required.topic is not None
+    return Finding(required.role, sources, f"named by {required.key}" if named else "by type, which no other topic has")
+
+
+def _references(topics: Topics, config: Config, besides: Collection[str]) -> tuple[Source, ...]:
+    required = reference_requirement(config)
+    solution = topics.find(required, besides) or (topics.need(required) if any(required.paths.values()) else None)
+    if solution and solution.fields.keys() & {"latitude", "origin"} and config.reference.fix is None:
+        return (solution,)
+    fix = topics.find(fix_requirement(config.reference, "reference"), besides)
+    return tuple(source for source in (solution, fix) if source is not None)

@@ -1,0 +1,260 @@
+"""A dive as a log, as a vehicle's recorder would have written it, and a replay as a log for viewers of ROS 2 data.
+
+What is computed here for a dive is the same on every processor: matrices are solved by formulae, since LAPACK sums in
+another order on each, and what goes through a library's arcs is rounded, since their last bits differ.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+
+from insdvl_replay import __version__
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
+from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
+from insdvl_replay.core.tables import Tables, each_table
+from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
+from insdvl_replay.geometry.rotation import rpy_from_mat, turned
+from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
+from insdvl_replay.logs.mcap_writer import (
+    BASE_LINK,
+    DVL,
+    IMU,
+    NED,
+    ODOM,
+    Batch,
+    Column,
+    InUnit,
+    components,
+    stamp,
+    stamped,
+    write_log,
+)
+
+ALTITUDE_M: Final = 20.0  # above a flat seabed, from which the ranges of the beams follow; no filter uses it
+VELOCITY_DIGITS: Final = 6  # decimals of what the instrument makes of its beams, m/s and rad: far below their noise
+ANGLE_DIGITS: Final = 9  # decimals of the reference's angles, rad
+_BEAMS_FOR_VELOCITY: Final = 3
+_UNKNOWN_VARIANCE: Final = -1.0
+_UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
+_LOG_LEVELS: Final = {Severity.INFO: 20, Severity.WARNING: 30}
+
+
+def angles(rpy: Floats) -> dict[str, Column]:
+    """Fill roll, pitch and heading, (k, 3), rad."""
+    roll_deg, pitch_deg, heading_deg = np.rad2deg(rpy).T
+    return {"roll_deg": roll_deg, "pitch_deg": pitch_deg, "heading_deg": heading_deg}
+
+
+def solution(position: Floats, velocity_n: Floats, rpy: Floats) -> dict[str, Column]:
+    """Fill the fields that insdvl_msgs/NavSolution and FilterState share, of (k, 3) each; positions in rad and m."""
+    latitude_deg, longitude_deg = np.rad2deg(position[:, :2]).T
+    columns: dict[str, Column] = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
+    return {**columns, "height_m": position[:, 2], "velocity_ned_mps": velocity_n, **angles(rpy)}
+
+
+def write_dive(path: Path, dive: Dive) -> None:
+    """Write a dive as a ROS 2 log; a DVL has four beams or velocities, else it is a ValueError."""
+    imu: dict[str, Column] = {
+        "orientation_covariance": (_UNKNOWN_VARIANCE, *[0.0] * 8),
+        **components("angular_velocity", dive.imu.angular_rate_b),
+        **components("linear_acceleration", dive.imu.specific_force_b),
+    }
+    batches = [stamped("/imu", "sensor_msgs/msg/Imu", dive.imu.time_ns, IMU, imu), _dvl_batch(dive.dvl)]
+    if dive.reference is not None:
+        rpy = np.round(rpy_from_mat(dive.reference.mat_nb), ANGLE_DIGITS)
+        columns = solution(dive.reference.position, dive.reference.velocity_n, rpy)
+        batches.append(stamped("/reference", "insdvl_msgs/msg/NavSolution", dive.reference.time_ns, NED, columns))
+    if dive.truth is not None:
+        columns = {"accel_bias_mps2": dive.truth.accel_bias_b, "gyro_bias_radps": dive.truth.gyro_bias_b}
+        batches.append(stamped("/truth/biases", "insdvl_msgs/msg/SensorBiases", dive.truth.time_ns, IMU, columns))
+    for name, sensor in dive.sensors.items():
+        topic, type_name, frame, columns = SENSOR_TOPICS[name].message(sensor.values, sensor.mat_nb)
+        batches.append(stamped(topic, type_name, sensor.time_ns, frame, columns))
+    write_log(path, batches, {"version": __version__, "dive": dive.name})
+
+
+def _dvl_batch(dvl: DvlColumns) -> Batch:
+    if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
+        if dvl.velocity_d is None:
+            raise ValueError("the DVL has neither beams nor velocities")
+        twist = {**components("twist.twist.linear", dvl.velocity_d), **components("twist.twist.angular", np.nan)}
+        return stamped("/dvl", "geometry_msgs/msg/TwistWithCovarianceStamped", dvl.time_ns, DVL, twist)
+    vectors_d, good = dvl.beam_vectors_d, np.isfinite(dvl.beam_velocity_mps)
+    if vectors_d.shape != (4, 3):
+        raise ValueError(f"marine_acoustic_msgs/Dvl has 4 beams, found vectors of shape {vectors_d.shape}")
+    good_beams = good.sum(axis=1)
+    any_good = good_beams > 0
+    velocity_d = np.round(_velocity_from_beams(dvl.beam_velocity_mps, vectors_d), VELOCITY_DIGITS)
+    forward, starboard = velocity_d[:, 0], velocity_d[:, 1]
+    columns: dict[str, Column] = {
+        "velocity_mode": 1,  # bottom track
+        **components("velocity", velocity_d),
+        "velocity_covar": (_UNKNOWN_VARIANCE,) * 9,
+        "altitude": np.where(any_good, ALTITUDE_M, np.nan),
+        "course_gnd": np.round(np.arctan2(starboard, forward), VELOCITY_DIGITS),
+        "speed_gnd": np.round(np.sqrt(forward * forward + starboard * starboard), VELOCITY_DIGITS),
+        "num_good_beams": good_beams,
+        "sound_speed": np.nan,
+        "beam_ranges_valid": any_good,
+        "beam_velocities_valid": any_good,
+        "range": np.where(good, ALTITUDE_M / vectors_d[:, 2], np.nan),
+        "range_covar": (_UNKNOWN_VARIANCE,) * 4,
+        "beam_quality": (np.nan,) * 4,
+        "beam_velocity": dvl.beam_velocity_mps,
+        "beam_velocity_covar": (_UNKNOWN_VARIANCE,) * 4,
+    }
+    for beam, (x, y, z) in enumerate(vectors_d.tolist()):
+        path = f"beam_unit_vec[{beam}]"
+        columns |= {f"{path}.x": x, f"{path}.y": y, f"{path}.z": z}
+    return stamped("/dvl", "marine_acoustic_msgs/msg/Dvl", dvl.time_ns, DVL, columns)
+
+
+def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> Floats:
+    """Solve the beams for the velocity by least squares, as the instrument would; NaN with fewer than three beams.
+
+    The normal matrix N is symmetric, so that its adjugate has the cross products of its columns as its rows.
+    """
+    good = np.isfinite(beam_velocity_mps)
+    normal, projected = np.zeros((len(good), 3, 3)), np.zeros((len(good), 3))
+    for beam, vector in enumerate(beam_vectors_d):
+        normal += np.where(good[:, beam, None, None], vector[:, None] * vector, 0.0)
+        projected += np.where(good[:, beam, None], beam_velocity_mps[:, beam, None] * vector, 0.0)
+    x, y, z = (normal[:, i] for i in range(3))
+    adjugate = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=1)
+    determinant = turned(adjugate[:, :1], x)
+    enough = good.sum(axis=1, keepdims=True) >= _BEAMS_FOR_VELOCITY
+    return np.divide(turned(adjugate, projected), determinant, out=np.full_like(projected, np.nan), where=enough)
+
+
+class Errors(Protocol):
+    """Estimate minus reference at the reference's times."""
+
+    @property
+    def time_ns(self) -> TimeNs:
+        """Times, (k,)."""
+
+    @property
+    def position_error_ned_m(self) -> Floats:
+        """North, east, down, (k, 3)."""
+
+    @property
+    def velocity_error_n(self) -> Floats:
+        """North, east, down, m/s, (k, 3)."""
+
+    @property
+    def attitude_error_rad(self) -> Floats:
+        """About level forward, level starboard and down, (k, 3)."""
+
+
+def write_replay(
+    path: Path,
+    *,
+    dive: Dive,
+    histories: Sequence[History],
+    dvl: Mapping[str, tuple[TimeNs, Floats]],  # velocity and acceleration in body axes, (m,) and (m, 3)
+    errors: Mapping[str, Errors],  # by filter
+    tables: Tables,
+    notes: Sequence[Note],
+    config_toml: str,
+    version: str,
+) -> None:
+    """Write what the filters made of a dive; a `LogError` where a time does not fit a ROS stamp."""
+    origin = histories[0].position[0]
+    batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter), origin)]
+    for quantity, (time_ns, values_b) in dvl.items():
+        unit = {"velocity": "mps", "acceleration": "mps2"}[quantity]
+        type_name = f"insdvl_msgs/msg/Dvl{quantity.capitalize()}"
+        batches.append(stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {f"{quantity}_{unit}": values_b}))
+    if dive.reference is not None:
+        # As the log has it, inside the replay; poses count from where the first filter starts.
+        shown = dive.reference.within(int(histories[0].time_ns[0]), int(histories[0].time_ns[-1]))
+        batches += _motion_batches("/insdvl/reference", shown, origin)
+    end_ns = np.array([max(int(history.time_ns[-1]) for history in histories)])
+    for layout, rows in each_table(tables):
+        for row in rows:  # a batch each, since its texts are its own
+            columns: dict[str, Column] = {}
+            for name, kind in layout.kinds.items():
+                value = getattr(row, name)
+                columns[name] = value if value is not None else "" if kind == "text" else np.nan
+            type_name = f"insdvl_msgs/msg/{layout.row.__name__}"
+            batches.append(stamped(f"/insdvl/table/{layout.name}", type_name, end_ns, NED, columns))
+    for note in notes:
+        text = f"{note.code} ({note.count}): {note.text}" + (f" hint: {note.hint}" if note.hint else "")
+        columns = {**stamp("stamp", end_ns), "level": _LOG_LEVELS[note.severity], "name": dive.name, "msg": text}
+        batches.append(Batch("/insdvl/notes", "rcl_interfaces/msg/Log", end_ns, columns))
+    metadata = {"version": version, "log": dive.name, "log_sha256": dive.sha256}
+    write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
+
+
+def _filter_batches(history: History, errors: Errors | None, origin: Floats) -> list[Batch]:
+    topic, batches = f"/insdvl/{history.filter}", []
+    motion, odometry = history.motion(), []
+    if history.is_partial:
+        state, *odometry = _motion_batches(topic, motion, origin)
+        batches.append(state)
+        if motion.has_position:
+            odometry.append(_fix_batch(topic, motion.rows(motion.known["positions"])))
+    else:
+        columns: dict[str, Column] = {
+            **solution(history.position, history.velocity_n, rpy_from_mat(history.mat_nb)),
+            "accel_bias_mg": InUnit(history.accel_bias_b, MG),
+            "gyro_bias_degph": InUnit(history.gyro_bias_b, DEG_PER_HOUR),
+        }
+        batches.append(stamped(f"{topic}/state", "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns))
+        odometry = [_odometry_batch(topic, motion, origin), _fix_batch(topic, motion)]
+    if history.believed.any():
+        columns = {
+            f"{state.id}_{_UNIT_NAMES[state.unit]}": InUnit(history.sd[:, state.index], state.factor)
+            for state in STATES
+        }
+        batches.append(stamped(f"{topic}/sigma", "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns))
+    if errors is not None:
+        columns = {
+            "position_ned_m": errors.position_error_ned_m,
+            "velocity_ned_mps": errors.velocity_error_n,
+            **angles(errors.attitude_error_rad),
+        }
+        batches.append(stamped(f"{topic}/error", "insdvl_msgs/msg/FilterError", errors.time_ns, NED, columns))
+    for innovations in history.innovations:
+        columns = {"unit": innovations.unit, "nis": innovations.nis, "used": innovations.used}
+        for name in ("measured", "innovation", "sd"):
+            # Three components: NaN where there are fewer, the first where there are more.
+            values: Floats = getattr(innovations, name)
+            lacking = np.full((len(values), max(0, 3 - values.shape[1])), np.nan)
+            columns[name] = values if values.shape[1] == 3 else np.hstack([values, lacking])[:, :3]
+        name = f"{topic}/innovation/{innovations.measurement}"
+        batches.append(stamped(name, "insdvl_msgs/msg/Innovation", innovations.time_ns, IMU, columns))
+    return batches + odometry
+
+
+def _motion_batches(topic: str, motion: ReferenceColumns, origin: Floats) -> list[Batch]:
+    """Return a solution as it is, and its rows without missing parts as poses, if there are any."""
+    columns = solution(motion.position, motion.velocity_n, rpy_from_mat(motion.mat_nb))
+    batches = [stamped(f"{topic}/state", "insdvl_msgs/msg/NavSolution", motion.time_ns, NED, columns)]
+    whole = np.logical_and.reduce(list(motion.known.values()))
+    return [*batches, _odometry_batch(topic, motion.rows(whole), origin)] if whole.any() else batches
+
+
+def _odometry_batch(topic: str, motion: ReferenceColumns, origin: Floats) -> Batch:
+    """Return poses, east-north-up and forward-port-up, with the velocity in the body; covariances of 0 are unknown."""
+    velocity_b = np.einsum("kji,kj->ki", motion.mat_nb, motion.velocity_n)
+    columns: dict[str, Column] = {
+        "child_frame_id": BASE_LINK,
+        **components("pose.pose.position", east_north_up_m(motion.position, origin)),
+        **components("pose.pose.orientation", quat_enu_flu(motion.mat_nb), "xyzw"),
+        **components("twist.twist.linear", velocity_b @ MAT_FRD_FLU),
+        **components("twist.twist.angular", np.nan),
+    }
+    return stamped(f"{topic}/odometry", "nav_msgs/msg/Odometry", motion.time_ns, ODOM, columns)
+
+
+def _fix_batch(topic: str, motion: ReferenceColumns) -> Batch:
+    latitude_deg, longitude_deg = np.rad2deg(motion.position[:, :2]).T
+    columns: dict[str, Column] = {"latitude": latitude_deg, "longitude": longitude_deg}
+    columns["altitude"] = motion.position[:, 2]
+    return stamped(f"{topic}/fix", "sensor_msgs/msg/NavSatFix", motion.time_ns, BASE_LINK, columns)
