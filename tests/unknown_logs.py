@@ -17,7 +17,7 @@ from mcap_ros2.writer import Writer as RosWriter
 
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
-from insdvl_replay.inspection.survey import Inventory
+from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 

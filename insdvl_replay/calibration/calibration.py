@@ -82,19 +82,16 @@ NEARLY_SETTLED: Final = 0.5
 BELIEVABLE_SDS: Final = 3.0
 """An estimate further from the configuration, in sds of the prior, comes from something else."""
 BELIEVABLE_SCALE: Final = 0.05
-MANY_TIMES: Final = 3.0
-"""Birge ratio from which dives contradict each other."""
+MANY_TIMES: Final = 3.0  # Birge ratio from which dives contradict each other
 WEAK: Final = 10.0
 """Signal to noise below which what no model knows, such as the errors of single beams, may be as large."""
 CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
-TOO_LARGE: Final = 2.0
-"""Innovations that scatter by more, in their own sds, hold something that no geometry explains."""
+TOO_LARGE: Final = 2.0  # innovations that scatter by more, in their own sds, hold something that no geometry explains
 OUTAGE_S: Final = "60"
 AXES: Final = ("forward", "starboard", "down")
 
-Refusals = Iterator[tuple[int, tuple[Estimated, str]]]
-"""Places of parameters that must stay as they are, and why."""
+Refusals = Iterator[tuple[int, tuple[Estimated, str]]]  # places of parameters that must stay as they are, and why
 
 
 @dataclass(frozen=True)
@@ -227,16 +224,16 @@ def parameter_rows(
     refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
     """Lay out parameters in their order: what is proposed, what was found and is not believed, and how sure each is."""
-    c = certainty
-    sds = np.array([c.formal, c.correlated, c.between, c.beams, c.imu, c.sd, c.signal_to_noise, c.birge])
+    names = ("formal", "correlated", "between", "beams", "imu", "sd", "signal_to_noise", "birge")
+    values = np.array([getattr(certainty, name) for name in names])
     for row, parameter in enumerate(parameters):
         if not asked[row]:
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
         change = {Estimated.HELD: 0.0, Estimated.DOUBTFUL: found[row]}.get(status, proposed[row])
-        units = np.repeat([parameter.shown_as, 1.0], [6, 2])
-        formal, correlated, between, beams, imu, sd, signal, birge = map(finite_or_none, units * sds[:, row])
+        in_units = values[:, row] * np.repeat([parameter.shown_as, 1.0], [6, 2])
+        formal, correlated, between, beams, imu, sd, signal, birge = map(finite_or_none, in_units)
         shown = parameter.shown_as * float(change)
         measured = (shown, formal, correlated, between, beams, imu, sd, signal, birge)
         yield ParameterRow(parameter.name, parameter.unit, *measured, status, why)

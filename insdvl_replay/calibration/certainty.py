@@ -181,12 +181,10 @@ def autocorrelation(near: Linearised) -> Floats:
 # Sources: Cook & Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994; Fuller,
 # "Measurement error models", 1987.
 
-MOTION_S: Final = 0.5
-"""Most of what moves a vehicle is slower than this; white noise mostly faster."""
+MOTION_S: Final = 0.5  # most of what moves a vehicle is slower than this; white noise mostly faster
 LITTLE: Final = 0.01
 """Share of the derivative's squares up to which it is taken as it is; it draws what is found to zero by as much."""
-MOSTLY: Final = 0.5
-"""Share beyond which the derivative is the noise's."""
+MOSTLY: Final = 0.5  # share beyond which the derivative is the noise's
 HIDDEN: Final = 2.0
 """Times what gyros scatter by from sample to sample, as much may be noise; what is fitted also stands for what rates do
 between samples."""
@@ -252,16 +250,12 @@ def averaged(readings: Floats, step_s: float) -> Floats:
 # estimated with the geometry. Source: Schmidt, "Application of state-space methods to navigation problems", 1966
 # ("consider" parameters).
 
-OFFSET_SD_MPS: Final = 0.001
-"""Of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more."""
-STRETCH_SD: Final = 0.002
-"""Of a beam's scale."""
+OFFSET_SD_MPS: Final = 0.001  # of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
+STRETCH_SD: Final = 0.002  # of a beam's scale
 IMU_SCALE_SD: Final = 1.5e-3
 """Tactical sensors have 300 to 500 ppm by their data sheets (Sensonor STIM300), smaller ones 0.1 to 0.5 %."""
-IMU_MISALIGNMENT_SD: Final = 1e-3
-"""rad, of each axis of a triad towards each other one, by the same data sheet."""
-STEP: Final = 3.0
-"""Of differences, in these standard deviations."""
+IMU_MISALIGNMENT_SD: Final = 1e-3  # rad, of each axis of a triad towards each other one, by the same data sheet
+STEP: Final = 3.0  # of differences, in these standard deviations
 BEAM_ERRORS: Final = 2 * len(beam_vectors())
 
 

@@ -25,14 +25,11 @@ from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.preparation.run import FIT
 
-SOFT: Final = 2.0
-"""Residuals, in what the axis scatters by, beyond which they count less and less."""
-SD_OF_DEVIATION: Final = 1.4826
-"""Standard deviation of normal values over the median of their absolute values."""
+SOFT: Final = 2.0  # residuals, in what the axis scatters by, beyond which they count less and less
+SD_OF_DEVIATION: Final = 1.4826  # standard deviation of normal values over the median of their absolute values
 DELAY_STEP_S: Final = 0.05
 MOST_ROUNDS: Final = 12
-SETTLED: Final = 0.05
-"""A step of less than so many of its standard deviations is the last."""
+SETTLED: Final = 0.05  # a step of less than so many of its standard deviations is the last
 STEEPER, FLATTER = 10.0, 0.1
 LARGEST_DAMPING: Final = 1e6
 OWN: Final = len(NAMES)
@@ -265,10 +262,8 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     if np.linalg.det(turn) > 0.0
 )
 """The 24 ways in which right-handed axes can lie along others."""
-CLEARLY: Final = 0.8
-"""Share of what one mounting leaves of the innovations, below which another one is the likelier."""
-NOT_FAR_OFF: Final = 4.0
-"""Times the least that a mounting leaves, beyond which no arm or delay makes it the best."""
+CLEARLY: Final = 0.8  # share of what one mounting leaves of the innovations, below which another one is the likelier
+NOT_FAR_OFF: Final = 4.0  # times the least that a mounting leaves, beyond which no arm or delay makes it the best
 MOST_FITTED: Final = 6
 _ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])
 

@@ -25,22 +25,14 @@ from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, run_one
 
-LATEST_S: Final = 0.4
-"""Delays are looked for up to here, either way."""
-SKIPPED: Final = 5
-"""Pings at both ends that do not count: the start hangs on one of them."""
-FEWEST: Final = 30
-"""Pings from which something can be estimated."""
-READ_S: Final = 1800.0
-"""Of each dive so much is read: more would say the same again."""
-START_SPEED_SD_MPS: Final = 2.0
-"""The velocity at the start is left to the pings."""
-WILD: Final = 20.0
-"""Times the upper quartile of what pings are off their neighbours."""
-LEAST_OFF_MPS: Final = 0.01
-"""As much is usual even on a dive on which nothing moves."""
-FAR: Final = 1e3
-"""Stands for an innovation that is larger, or not finite, in its own standard deviations."""
+LATEST_S: Final = 0.4  # delays are looked for up to here, either way
+SKIPPED: Final = 5  # pings at both ends that do not count: the start hangs on one of them
+FEWEST: Final = 30  # pings from which something can be estimated
+READ_S: Final = 1800.0  # of each dive so much is read: more would say the same again
+START_SPEED_SD_MPS: Final = 2.0  # the velocity at the start is left to the pings
+WILD: Final = 20.0  # times the upper quartile of what pings are off their neighbours
+LEAST_OFF_MPS: Final = 0.01  # as much is usual even on a dive on which nothing moves
+FAR: Final = 1e3  # stands for an innovation that is larger, or not finite, in its own standard deviations
 NO_CHANGE: Final = np.zeros(len(NAMES))
 
 Mask = NDArray[np.bool_]
@@ -54,10 +46,6 @@ class ReadDive:
     config: Config
     as_read: ReferenceColumns | None = None  # its reference, before it was moved to the IMU
 
-    def prepared(self, geometry: Geometry | None = None) -> Prepared:
-        """Prepare it, with another mounting, arm and scale than configured; its pings keep their times."""
-        return prepare_with_heading(self.dive, with_dvl(self.config, geometry) if geometry else self.config)
-
     def with_config(self, config: Config) -> "ReadDive":
         """Take other settings for the same readings."""
         return replace(self, config=config)
@@ -70,7 +58,7 @@ class ReadDive:
         LogError
             It has too few pings.
         """
-        prepared = self.prepared()
+        prepared = prepare_with_heading(self.dive, self.config)
         baseline = replace(prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0)
         # A change of the delay by a step beyond the latest one has to find its pings inside, too.
         room_ns = nanoseconds(LATEST_S + 2.0 * float(STEPS[DELAY]))

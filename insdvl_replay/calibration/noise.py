@@ -40,21 +40,17 @@ STARTS: Final = ((1.0, 1.0, 1.0), (0.1, 1.0, 0.3), (0.02, 1.0, 0.3), (0.1, 10.0,
 """Factors of which the likeliest is the start, for a search from one place finds the nearest cause; order as of
 `noise_of`."""
 FIRST_STEP: Final = -0.7
-DIGITS: Final = 3
-"""Of a noise; none is known so well, and further ones would differ from processor to processor."""
+DIGITS: Final = 3  # of a noise; none is known so well, and further ones would differ from processor to processor
 LIKELIHOOD_DIGITS: Final = 2
 LEVELLINGS: Final = 3
 ALL_FREE: Final = np.ones(3)
-SCORE_STEP: Final = 0.2
-"""Of differences, in the logarithm of a noise."""
-RIDGE: Final = 1e-6
-"""Of the information on a logarithm: it is known to be below a thousand."""
+SCORE_STEP: Final = 0.2  # of differences, in the logarithm of a noise
+RIDGE: Final = 1e-6  # of the information on a logarithm: it is known to be below a thousand
 UNSURE: Final = 0.35
 """Standard deviation of the logarithm of a noise from which it is not determined: two of them are a factor of two."""
 MOST_BY_ERRORS: Final = 0.1
 """Share of the NIS that slow errors of beams and IMU explain, beyond which noise of the IMU is not told from them."""
-UNBOUNDED: Final = 3.0
-"""Standard deviation of the logarithm beyond which none is given."""
+UNBOUNDED: Final = 3.0  # standard deviation of the logarithm beyond which none is given
 CONTRADICTED: Final = 9.0
 """Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations."""
 AS_IT_WAS: Final = "not determined by these dives, and stays as it was"
@@ -217,19 +213,19 @@ def judged_noise(
     impossible = {key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()}
     is_doubtful = any(impossible.values())
     drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
-    told = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
+    statuses = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
     for key, value in fitted.after.items():
         # The keys of a filter go before these of the common sections.
         if any(getattr(own, name) is not None for name in ((key,) if key in INERTIAL else DVL)):
-            told[key] = Estimated.HELD, OWN_NOISE
+            statuses[key] = Estimated.HELD, OWN_NOISE
         elif impossible[key]:
-            told[key] = Estimated.DOUBTFUL, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
+            statuses[key] = Estimated.DOUBTFUL, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
         elif is_doubtful or not sds[key] < UNSURE or (drowned and key in INERTIAL):
-            told[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
+            statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
     # Level what is proposed, beside the others as they are configured.
     fitted_alone = Estimated.NOT_DETERMINED if is_doubtful else Estimated.ESTIMATED
-    free = np.array([float(status == fitted_alone) for status, _ in told.values()])
-    held = {key: fitted.after[key] if told[key][0] == fitted_alone else fitted.before[key] for key in told}
+    free = np.array([float(status == fitted_alone) for status, _ in statuses.values()])
+    held = {key: fitted.after[key] if statuses[key][0] == fitted_alone else fitted.before[key] for key in statuses}
     proposed = fitted if free.all() else levelled(FittedNoise(fitted.before, held), dives, changes, free)
     is_bad = any(
         beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
@@ -244,7 +240,7 @@ def judged_noise(
         )
         kept = fitted if is_limit else proposed
     judged = {}
-    for key, (status, why) in told.items():
+    for key, (status, why) in statuses.items():
         is_bound = is_limit and status == Estimated.NOT_DETERMINED
         sd = float(f"{sds[key] * fitted.after[key]:.2g}") if sds[key] < UNBOUNDED else None
         judged[key] = JudgedNoise(status, AT_MOST if is_bound else why, sd)

@@ -1,88 +1,109 @@
-"""A calibration as a fragment of configuration, as JSON and as CSV."""
+"""A calibration as a result for people and programs, as settings, and in pictures."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from typing import Any, Final
 
 import msgspec
+import numpy as np
 from msgspec import Struct
 
 from insdvl_replay import __version__
-from insdvl_replay.calibration.calibration import Calibration, ReferenceCalibration
+from insdvl_replay.calibration.calibration import AXES, Calibration
+from insdvl_replay.calibration.certainty import mean_change, one_by_one
+from insdvl_replay.calibration.fit import delay_profile
+from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, SKIPPED, DiveInnovations
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import PARAMETERS, REFERENCE_PARAMETERS, Geometry, Parameter
+from insdvl_replay.calibration.parameters import DELAY, LABELS, PARAMETERS, SHARED, Geometry
 from insdvl_replay.calibration.rows import (
     CalibrationResult,
+    HeldOutRow,
     NoiseRow,
     ParameterRow,
     ReferenceResult,
     ReferenceSettings,
     Settings,
-    StartRow,
 )
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.dive_columns import NS_PER_S
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.quantities import AXES
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.preparation.run import FIT
 from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.document import counted
+from insdvl_replay.report.document import (
+    Callout,
+    DisplayTable,
+    Heading,
+    Part,
+    Remark,
+    Sentences,
+    Title,
+    counted,
+    number,
+    table_of,
+)
+from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
+from insdvl_replay.results.filter_figures import Clock
 from insdvl_replay.results.json_report import as_json, package_versions, this_tool
 
 KEYS: Final = {
-    "delay": "latency_s",
-    "arm": "lever_arm_m",
-    "mounting": "mounting_rpy_deg",
-    "scale": "scale",
+    "latency_s": ("delay", "reference_clock"),
+    "lever_arm_m": ("arm", "reference_arm"),
+    "mounting_rpy_deg": ("mounting", "reference_mounting"),
+    "scale": ("scale",),
 }
-"""Key in ``[dvl]`` of each group of parameters."""
-REFERENCE_KEYS: Final = {
-    "reference_clock": "latency_s",
-    "reference_arm": "lever_arm_m",
-    "reference_mounting": "mounting_rpy_deg",
-}
-"""Likewise in ``[reference]``."""
-DIGITS: Final = 6
-"""Decimals that are proposed; none of the numbers is known so well."""
+"""Key in ``[dvl]`` and ``[reference]``, and the groups of parameters that it holds."""
+DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
+_GROUPS: Final = {parameter.name: parameter.group for parameter in SHARED}
+
+
+def calibration_document(found: Calibration, written: str = "", figures: Sequence[Figure] = ()) -> list[Part]:
+    """Return what is proposed, what it rests on, and what speaks against it; ``written`` is the file of settings."""
+    is_found = bool(found.estimated) or found.proposes_noise
+    names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
+    nothing = "Nothing could be estimated: these dives hold no manoeuvre that would show it."
+    headline = f"Estimated: {', '.join(names)}." if is_found else nothing
+    callout = Callout(headline, "good" if found.estimated and not found.doubts else "bad")
+    reasons = [*_reasons(found), *map(Remark, found.doubts)]
+    parts: list[Part] = [Title(f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"), callout]
+    parts += [f"The mounting was not known: {found.tried}."] if found.tried else []
+    parts += _tables(found)
+    parts += [Sentences(tuple(reasons))] if reasons else []
+    if written and is_found:
+        parts.append(f"Nothing is applied by itself: `insdvl-replay run LOG -c ... -c {written}` uses it.")
+    return [*parts, Heading("Pictures"), *figures] if figures else parts
 
 
 def calibration_json(found: Calibration, config: Config) -> bytes:
     """Write a calibration as JSON. The same dives give the same bytes."""
+    reference, of_reference = None, found.reference
+    if of_reference is not None:
+        before, after = (
+            ReferenceSettings(settings.latency_s, settings.lever_arm_m, settings.mounting_rpy_deg)
+            for settings in (of_reference.before, of_reference.after)
+        )
+        rows, dives, starts = list(of_reference.rows), list(of_reference.dives), list(of_reference.starts)
+        reference = ReferenceResult(before, after, rows, dives, starts)
     return as_json(
         CalibrationResult(
             this_tool(),
             package_versions(),
-            _settings(found.before),
-            _settings(found.after),
+            Settings(**msgspec.structs.asdict(found.before)),
+            Settings(**msgspec.structs.asdict(found.after)),
             list(found.rows),
             list(found.noise_rows),
             list(found.dives),
             list(found.held_out),
-            _reference(found.reference),
+            reference,
             list(found.doubts),
             msgspec.to_builtins(config),
         )
     )
 
 
-def _settings(geometry: Geometry) -> Settings:
-    return Settings(geometry.latency_s, geometry.lever_arm_m, geometry.mounting_rpy_deg, geometry.scale)
-
-
-def _reference(found: ReferenceCalibration | None) -> ReferenceResult | None:
-    if found is None:
-        return None
-    before, after = (
-        ReferenceSettings(settings.latency_s, settings.lever_arm_m, settings.mounting_rpy_deg)
-        for settings in (found.before, found.after)
-    )
-    return ReferenceResult(before, after, list(found.rows), list(found.dives), list(found.starts))
-
-
 def calibration_csv(found: Calibration) -> str:
-    """Write the parameters, the dives, those held out and what the references say one after the other."""
+    """Write the tables one after the other; each axis has a column of its own."""
     reference = found.reference
     tables: dict[str, Sequence[Struct]] = {
         "parameters": found.all_rows,
@@ -92,98 +113,203 @@ def calibration_csv(found: Calibration) -> str:
         "reference": () if reference is None else reference.dives,
         "starts": () if reference is None else reference.starts,
     }
-    return blocks_csv(
-        "table",
-        {
-            name: (list(_by_axis(rows[0])), (tuple(_by_axis(row).values()) for row in rows))
-            for name, rows in tables.items()
-            if rows
-        },
+    blocks = {}
+    for name, rows in tables.items():
+        records: list[dict[str, Any]] = []
+        for row in rows:
+            record: dict[str, Any] = {}
+            for column, value in msgspec.structs.asdict(row).items():
+                if isinstance(value, tuple):
+                    record |= zip((f"{column}_{axis}" for axis in "xyz"), value, strict=True)
+                else:
+                    record[column] = value
+            records.append(record)
+        if records:
+            blocks[name] = (list(records[0]), [tuple(record.values()) for record in records])
+    return blocks_csv("table", blocks)
+
+
+def _reasons(found: Calibration) -> Iterator[Remark]:
+    """State why numbers are not proposed, those with the same reason together."""
+
+    def together(pairs: Iterable[tuple[str, str]], what: str) -> Iterator[Remark]:
+        whys: dict[str, list[str]] = {}
+        for name, why in pairs:
+            whys.setdefault(why, []).append(name)
+        for why, names in whys.items():
+            yield Remark(f"{', '.join(names)}: {what}{why}")
+
+    for status, what in ((Estimated.HELD, "held; "), (Estimated.DOUBTFUL, "not proposed; ")):
+        yield from together(((LABELS[row.parameter], row.why) for row in found.all_rows if row.status == status), what)
+    kept = (Estimated.HELD, Estimated.NOT_DETERMINED)
+    yield from together(((row.parameter, row.why) for row in found.noise_rows if row.status in kept), "")
+
+
+# --- The tables as people see them.
+
+
+def _tables(found: Calibration) -> Iterator[DisplayTable]:
+    yield _parameter_table("Change from what the configuration says; x forward, y starboard, z down", found.rows)
+    is_asked = all(row.status != Estimated.NOT_ASKED for row in found.noise_rows)
+    yield table_of(
+        "White noise under which the innovations are likeliest",
+        found.noise_rows,
+        (
+            ("noise", "l", lambda row: f"{row.parameter} [{row.unit}]"),
+            ("before", "r", _shown("before")),
+            ("after", "r", _noise_after),
+            ("sd", "r", _shown("sd")),
+            ("class", "l", _shown("sensor_class")),
+        ),
+        "" if is_asked else "It was not asked for, and only weighs.",
+    )
+    yield table_of(
+        f"Innovations in standard deviations of the noise that was fitted, {', '.join(AXES)}",
+        found.dives,
+        (
+            ("dive", "l", _shown("dive")),
+            ("pings", "r", _shown("pings")),
+            ("left\nout", "r", _shown("left_out")),
+            ("delay\n[s]", "r", _shown("delay_s")),
+            ("before", "r", lambda row: _axes(row.before)),
+            ("after", "r", lambda row: _axes(row.after)),
+            ("alike", "r", lambda row: _axes(row.autocorrelation)),
+        ),
+        "1 is what a filter expects that knows its noise; neighbours are alike by 0 where nothing is left to find.",
+    )
+    if found.reference is not None:
+        yield _parameter_table("The reference: change from what the configuration says", found.reference.rows)
+        yield table_of(
+            "Beside the reference, before and after: what velocities, or ways of 10 s, differ by, and the track",
+            found.reference.dives,
+            (
+                ("dive", "l", _shown("dive")),
+                ("rows", "r", _shown("rows")),
+                ("rms before", "r", lambda row: f"{number(row.rms_before)} {row.unit}"),
+                ("after", "r", lambda row: f"{number(row.rms_after)} {row.unit}"),
+                ("scale before\n[%]", "r", _shown("track_scale_before_pct")),
+                ("after\n[%]", "r", _shown("track_scale_after_pct")),
+                ("turn before\n[deg]", "r", _shown("track_turn_before_deg")),
+                ("after\n[deg]", "r", _shown("track_turn_after_deg")),
+            ),
+            "Scale and turn would lay the filter's track on the reference's; the turn holds what the heading drifted "
+            "by.",
+        )
+        if found.reference.starts:
+            yield table_of(
+                "Starts by the tracks of positions, with the DVL as it is proposed",
+                found.reference.starts,
+                (
+                    ("dive", "l", _shown("dive")),
+                    ("heading\n[deg]", "r", _shown("heading_deg")),
+                    ("sd", "r", _shown("heading_sd_deg")),
+                    ("gyro bias\n[deg/h]", "r", _shown("gyro_bias_degph")),
+                    ("sd", "r", _shown("gyro_bias_sd_degph")),
+                ),
+                'initial.heading_deg = "fit" finds them anew for each dive.',
+            )
+    if found.held_out:
+        yield table_of(
+            "Dives that were not fitted: NIS / dof, and drift in 60 s without velocities",
+            found.held_out,
+            (
+                ("dive", "l", _shown("dive")),
+                ("NIS before", "r", _shown("nis_per_dof_before")),
+                ("after", "r", _shown("nis_per_dof_after")),
+                ("with\nnoise", "r", _shown("nis_per_dof_noise")),
+                ("windows", "r", _shown("windows")),
+                ("drift before\n[m]", "r", _shown("drift_before_m")),
+                ("after\n[m]", "r", _shown("drift_after_m")),
+            ),
+        )
+
+
+def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
+    return table_of(
+        title,
+        [row for row in rows if row.status != Estimated.NOT_ASKED],
+        (
+            ("parameter", "l", lambda row: f"{LABELS[row.parameter]} [{row.unit}]"),
+            ("change", "r", _change),
+            ("sd", "r", _shown("sd")),
+            ("formal", "r", _shown("formal_sd")),
+            ("corre-\nlated", "r", _shown("correlated_sd")),
+            ("between\ndives", "r", _shown("between_dives_sd")),
+            ("signal /\nnoise", "r", _shown("signal_to_noise")),
+        ),
+        "The sd is the largest of the three, with what beams (each 0.2 % and 1 mm/s) and the IMU (1500 ppm and "
+        "1 mrad) may be off by. What is below a signal to noise of 3 (mounting: 4, scale: 30) is held.",
     )
 
 
-def _by_axis(row: Struct) -> dict[str, Any]:
-    """Give each axis a column of its own."""
-    found: dict[str, Any] = {}
-    for name, value in msgspec.structs.asdict(row).items():
-        found |= (
-            dict(zip((f"{name}_{axis}" for axis in AXES), value, strict=True))
-            if isinstance(value, tuple)
-            else {name: value}
-        )
-    return found
+def _change(row: ParameterRow) -> str:
+    if row.status == Estimated.HELD or row.change is None:
+        return Estimated.HELD
+    sign, doubt = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.DOUBTFUL else ""
+    return f"{sign}{number(abs(row.change))}{doubt}"
+
+
+def _axes(values: tuple[float, float, float]) -> str:
+    return " ".join(f"{value:.2f}" for value in values)
+
+
+def _shown(column: str) -> Callable[[Any], str]:
+    """Return what writes the value of a column."""
+
+    def text(row: Any) -> str:
+        value = getattr(row, column)
+        return number(value) if value is None or isinstance(value, float) else str(value)
+
+    return text
+
+
+def _noise_after(row: NoiseRow) -> str:
+    if row.status == Estimated.NOT_DETERMINED:
+        return f"not determined{f', at most {number(row.after)}' if row.is_proposed else ''}"
+    return number(row.after) if row.status in (Estimated.ESTIMATED, Estimated.NOT_ASKED) else Estimated.HELD
+
+
+# --- The settings.
 
 
 def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
     """Write what is proposed as settings that ``-c`` reads, each with how sure it is and why.
 
-    Parameters
-    ----------
-    started_ns : sequence of int
-        When the dives began, ns since 1970; on their own clocks.
+    The dives began at ``started_ns`` since 1970, on their own clocks.
     """
     days = sorted({datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat() for start_ns in started_ns})
+    span = f"{days[0]} to {days[-1]}" if len(days) > 1 else days[0]
     names = ", ".join(visible(dive.dive) for dive in found.dives)
-    head = (
-        f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {days[0]}"
-        f"{f' to {days[-1]}' if len(days) > 1 else ''}: {names}"
-    )
-    lines = ["[dvl]", *_lines(KEYS, PARAMETERS, found.rows, found)]
-    inertial = [row for row in found.noise_rows if row.parameter in INERTIAL]
-    lines += _noise_lines(row for row in found.noise_rows if row not in inertial)
+    lines = [f"# insdvl-replay {__version__} calibrate: {counted(len(found.dives), 'dive')} of {span}: {names}"]
+    lines += ["[dvl]", *_geometry_lines(found.rows, found.before, found.after)]
+    lines += [line for row in found.noise_rows if row.parameter not in INERTIAL for line in _noise_lines(row)]
     if found.proposes_noise:
-        lines += ["", "[noise]", *_noise_lines(inertial)]
+        lines += ["", "[noise]"]
+        lines += [line for row in found.noise_rows if row.parameter in INERTIAL for line in _noise_lines(row)]
     if (reference := found.reference) is not None:
-        lines += ["", "[reference]", *_lines(REFERENCE_KEYS, REFERENCE_PARAMETERS, reference.rows, reference)]
-        lines += _initial(reference.starts)
-    return "\n".join([head, *lines, *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
+        lines += ["", "[reference]", *_geometry_lines(reference.rows, reference.before, reference.after)]
+        lines += ["", "[initial]"] if reference.starts else []
+        lines += [
+            f"# {visible(start.dive)}: {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg, and a bias of "
+            f"the gyro about down of {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
+            for start in reference.starts
+        ]
+        lines += [f"heading_deg = {toml_value(FIT)}"] if reference.starts else []
+    return "\n".join([*lines, *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
 
 
-def _lines(
-    keys: Mapping[str, str],
-    parameters: Sequence[Parameter],
-    all_rows: Sequence[ParameterRow],
-    found: Calibration | ReferenceCalibration,
-) -> Iterator[str]:
-    for group, key in keys.items():
-        rows = [row for row, parameter in zip(all_rows, parameters, strict=True) if parameter.group == group]
-        is_moved = getattr(found.before, key) != getattr(found.after, key)
-        if all(row.status == Estimated.NOT_ASKED for row in rows) and not is_moved:
+def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geometry) -> Iterator[str]:
+    for key, groups in KEYS.items():
+        own = [row for row in rows if _GROUPS[row.parameter] in groups]
+        old, new = getattr(before, key), getattr(after, key)
+        if old == new and all(row.status == Estimated.NOT_ASKED for row in own):
             continue
-        yield from (f"# {_in_words(row)}" for row in rows)
-        if is_moved or any(row.status == Estimated.ESTIMATED for row in rows):
-            yield f"{key} = {toml_value(_rounded(getattr(found.before, key), getattr(found.after, key)))}"
-
-
-def _noise_lines(rows: Iterable[NoiseRow]) -> Iterator[str]:
-    for row in rows:
-        sd = "" if row.sd is None else f", sd {row.sd:.2g} {row.unit}"
-        of_class = f", class {row.sensor_class}" if row.sensor_class else ""
-        if row.status == Estimated.ESTIMATED:
-            yield f"# the innovations are likeliest with it{sd}; it was {row.before:.4g} {row.unit}{of_class}"
-        elif row.status in (Estimated.NOT_DETERMINED, Estimated.DOUBTFUL):
-            yield f"# {row.parameter}: {row.why}; it was {row.before:.4g} {row.unit}"
-        if row.is_proposed:
-            yield f"{row.parameter} = {toml_value(row.after)}"
-
-
-def _initial(starts: Sequence[StartRow]) -> Iterator[str]:
-    """Let each dive find its own heading, and tell what these found."""
-    if starts:
-        yield from ("", "[initial]")
-        for start in starts:
-            yield (
-                f"# {visible(start.dive)}: {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg, and a bias of "
-                f"the gyro about down of {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
-            )
-        yield f"heading_deg = {toml_value(FIT)}"
-
-
-def _rounded(before: Any, after: Any) -> Any:
-    """Leave out digits that mean nothing; what has not moved stays to the bit."""
-    if isinstance(after, tuple):
-        return tuple(_rounded(*pair) for pair in zip(before, after, strict=True))
-    return after if after == before else round(after, DIGITS)
+        yield from (f"# {_in_words(row)}" for row in own)
+        if old != new or any(row.status == Estimated.ESTIMATED for row in own):
+            # Digits that mean nothing are left out; what has not moved stays to the bit.
+            pairs = zip(np.atleast_1d(old).tolist(), np.atleast_1d(new).tolist(), strict=True)
+            values = tuple(now if now == was else round(now, DIGITS) for was, now in pairs)
+            yield f"{key} = {toml_value(values if isinstance(new, tuple) else values[0])}"
 
 
 def _in_words(row: ParameterRow) -> str:
@@ -195,7 +321,98 @@ def _in_words(row: ParameterRow) -> str:
         case Estimated.DOUBTFUL:
             return f"{row.parameter}: {row.change:+.4g} {row.unit} was found and is not proposed: {row.why}"
         case Estimated.ESTIMATED:
-            return (
-                f"{row.parameter}: {row.change:+.4g} {row.unit}, sd {row.sd:.2g} {row.unit}, "
-                f"signal to noise {row.signal_to_noise:.0f}"
-            )
+            sure = f"sd {row.sd:.2g} {row.unit}, signal to noise {row.signal_to_noise:.0f}"
+            return f"{row.parameter}: {row.change:+.4g} {row.unit}, {sure}"
+
+
+def _noise_lines(row: NoiseRow) -> Iterator[str]:
+    before = f"it was {row.before:.4g} {row.unit}"
+    if row.status == Estimated.ESTIMATED:
+        sd = "" if row.sd is None else f", sd {row.sd:.2g} {row.unit}"
+        known_class = f", class {row.sensor_class}" if row.sensor_class else ""
+        yield f"# the innovations are likeliest with it{sd}; {before}{known_class}"
+    elif row.status in (Estimated.NOT_DETERMINED, Estimated.DOUBTFUL):
+        yield f"# {row.parameter}: {row.why}; {before}"
+    if row.is_proposed:
+        yield f"{row.parameter} = {toml_value(row.after)}"
+
+
+# --- The pictures.
+
+DRAWN: Final = 6  # dives whose course is drawn; the tables have all of them
+BEFORE, AFTER = filter_style(1), filter_style(0)
+_LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
+_PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
+_SHARE: Final = 0.995  # of the innovations so many are inside a panel: wild ones would flatten the rest
+_AIR: Final = 1.2
+_CAPTION: Final = (
+    "Predicted minus measured velocity, in its own standard deviation. What is left should have no pattern."
+)
+_PLACES: Final = "dive, in the order of the table"
+
+
+def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) -> tuple[Figure, ...]:
+    """Draw innovations before and after, the cost of a delay, how dives differ and drift; nothing where none is."""
+    figures, profiles = [], []
+    for i, dive in enumerate(found.noise.applied(dive) for dive in dives[:DRAWN]):
+        change = found.change_of_dive(i)
+        clock = Clock(dive.prepared.alignment.start_ns, dive.prepared.end_ns)
+        time = clock.time(dive.prepared.velocities.time_ns[SKIPPED:-SKIPPED])
+        panels = []
+        for axis, *pair in zip(AXES, dive.residuals(NO_CHANGE).T, dive.residuals(change).T, strict=True):
+            curves = tuple(Curve(time, values, style) for values, style in zip(pair, (BEFORE, AFTER), strict=True))
+            height = _AIR * float(np.quantile(np.abs(np.concatenate(pair)), _SHARE))
+            panels.append(Panel(f"innovation {axis} [sd]", clock.label, curves, y_limits=(-height, height)))
+        figures.append(Figure(f"Innovations of {dive.name}", _CAPTION, tuple(panels), _LEGEND))
+        # What a delay costs beyond the best, with all else as it was found.
+        delays_s = np.union1d(_PROFILE_S, change[DELAY])
+        costs = delay_profile(dive, change, delays_s)
+        costs = costs - costs.min()
+        proposed = Curve(np.repeat(change[DELAY], 2), np.array([0.0, costs.max()]), REFERENCE)
+        curves = (Curve(delays_s, costs, AFTER), proposed)
+        profiles.append(Panel(dive.name, "delay [s], from the configured one", curves))
+    costs_figure = Figure(
+        "What a delay costs",
+        "The sum of the squares of the innovations, far ones counted less, above its least. A deep valley is a sure "
+        "delay; several of them, or a floor, are none.",
+        tuple(profiles),
+        ((AFTER, "cost"), (REFERENCE, "as fitted")),
+    )
+    return (*figures, costs_figure, *_between_dives(found), *_drifts(found.held_out))
+
+
+def _between_dives(found: Calibration) -> Iterator[Figure]:
+    """Draw what each dive says by itself; nothing of one dive."""
+    own, own_sd = one_by_one(found.fit)
+    common, drawn = mean_change(found.fit), found.fit.unknowns.free
+    if len(own) < 2 or not drawn.any():
+        return
+    place = np.arange(1.0, len(own) + 1.0)
+    panels = []
+    for row in np.flatnonzero(drawn):
+        parameter = PARAMETERS[row]
+        value, sd = parameter.shown_as * own[:, row], parameter.shown_as * own_sd[:, row]
+        bars = Curve(np.repeat(place, 3), _interrupted(value - sd, value + sd), BEFORE)
+        title, level = f"{parameter.label} [{parameter.unit}]", parameter.shown_as * float(common[row])
+        curves = (bars, Curve(place, value, BEFORE, points=True))
+        panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
+    caption = "By innovations alone: the change that one dive would make, with its formal standard deviation."
+    legend = ((BEFORE, "one dive"), (LIMIT, "all dives"))
+    yield Figure("What each dive says by itself", caption, tuple(panels), legend)
+
+
+def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
+    drifts_m = np.array([[row.drift_before_m, row.drift_after_m] for row in rows], dtype=np.float64).reshape(-1, 2)
+    pairs = drifts_m[np.isfinite(drifts_m).all(axis=1)]
+    if len(pairs):
+        place = np.arange(1.0, len(pairs) + 1.0)
+        bars = Curve(np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE)
+        ends = [Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))]
+        caption = f"Median drift in 60 s without velocities; {counted(len(pairs), 'dive')} had windows."
+        panel = Panel("horizontal drift [m]", _PLACES, (bars, *ends), x_whole=True)
+        yield Figure("Coasting on dives that were not fitted", caption, (panel,), _LEGEND)
+
+
+def _interrupted(low: Floats, high: Floats) -> Floats:
+    """Lay lines end to end with a gap behind each."""
+    return np.column_stack([low, high, np.full(len(low), np.nan)]).ravel()

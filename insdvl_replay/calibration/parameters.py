@@ -65,8 +65,7 @@ REFERENCE_PARAMETERS: Final = (
     Parameter("reference_arm_z", "reference_arm", "ref. arm z", *_LENGTH, _LEANING),
 )
 """Of a reference, in the same order."""
-SHARED: Final = (*PARAMETERS, *REFERENCE_PARAMETERS)
-"""What all dives share beside a reference."""
+SHARED: Final = (*PARAMETERS, *REFERENCE_PARAMETERS)  # what all dives share beside a reference
 LABELS: Final = {parameter.name: parameter.label for parameter in SHARED}
 NAMES: Final = tuple(parameter.name for parameter in PARAMETERS)
 NOISE: Final = "noise"

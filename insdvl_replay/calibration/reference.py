@@ -73,18 +73,13 @@ from insdvl_replay.preparation.run import fitted_start, run_one
 COUNT: Final = len(SHARED)
 OWN: Final = 2
 """Of each dive alone, where the reference has no attitude: the filter's heading, and how it drifts over the dive."""
-OF_DVL: Final = (HEADING, SCALE)
-"""What a reference may move of the DVL."""
-SETTLED_S: Final = 30.0
-"""After the start, which hangs on the reference."""
-APART_S: Final = 0.5
-"""Rows of the reference that are nearer to each other would say the same."""
-WAY_S: Final = 10.0
-"""Between two positions: the way is longer than a fix is wrong."""
+OF_DVL: Final = (HEADING, SCALE)  # what a reference may move of the DVL
+SETTLED_S: Final = 30.0  # after the start, which hangs on the reference
+APART_S: Final = 0.5  # rows of the reference that are nearer to each other would say the same
+WAY_S: Final = 10.0  # between two positions: the way is longer than a fix is wrong
 LATEST_CLOCK_S: Final = 1.0
 LOST_HEADING_SD: Final = 10.0 * DEG
-ATTITUDE, LEVEL, MOTION = 0, 1, 2
-"""Families of rows."""
+ATTITUDE, LEVEL, MOTION = 0, 1, 2  # families of rows
 ROUNDS: Final = 5
 FINEST_CLOCK_S: Final = 2e-4
 """Between two samples of the IMU the attitude is interpolated, which shifts a clock by about as much on all dives."""
@@ -218,10 +213,10 @@ class ReferenceDive:
         """What pings of such a scatter can tell at most, of `SHARED`; zero but for the DVL's heading and scale."""
         innovations = self.asked.history(self.change).innovations[0]
         scatter, velocity_b = scatter_of(innovations.innovation), innovations.measured
-        told = np.zeros(COUNT)
-        told[HEADING] = np.sum((velocity_b[:, [1, 0]] / scatter[:2]) ** 2)
-        told[SCALE] = np.sum((velocity_b / scatter) ** 2)
-        return told
+        information = np.zeros(COUNT)
+        information[HEADING] = np.sum((velocity_b[:, [1, 0]] / scatter[:2]) ** 2)
+        information[SCALE] = np.sum((velocity_b / scatter) ** 2)
+        return information
 
     def linearised(self, values: Floats, free: Mask) -> tuple[Floats, Linearised]:
         """Return the times, (k,), and what is compared at 17 values; each axis of each family over its scatter."""
@@ -299,8 +294,8 @@ class ReferenceFit:
             samples = np.array([max(samples_in_mean(column), 1.0) for column in parts.T])
             correlated += np.sum(parts**2, axis=0) * len(parts) / samples
         # What all pings of a dive are off by is fitted away, and no residual shows it: their scatter says how much.
-        told = np.flatnonzero(self.information_of_pings)
-        correlated[told] += 1.0 / self.information_of_pings[told]
+        seen = np.flatnonzero(self.information_of_pings)
+        correlated[seen] += 1.0 / self.information_of_pings[seen]
         correlated[CLOCK] += FINEST_CLOCK_S**2
         formal, correlated = (np.sqrt(variances)[:COUNT] for variances in (np.diag(cov) + considered, correlated))
         none = np.zeros(COUNT)
@@ -398,9 +393,9 @@ def with_reference(
         free[REFERENCE_MOUNTING] = free[REFERENCE_ARM] = False
     # As sure as the innovations are of the DVL, but for its scale, which smoothing inside the DVL would pull.
     sds = SHARED_SD.copy()
-    for row, of_dvl in enumerate(found.rows):
-        if row != SCALE and of_dvl.status == Estimated.ESTIMATED and of_dvl.sd is not None:
-            sds[row] = min(of_dvl.sd / SHARED[row].shown_as, PRIOR_SD[row])
+    for row, dvl_row in enumerate(found.rows):
+        if row != SCALE and dvl_row.status == Estimated.ESTIMATED and dvl_row.sd is not None:
+            sds[row] = min(dvl_row.sd / SHARED[row].shown_as, PRIOR_SD[row])
     by_innovations = np.concatenate([found.change, np.zeros(COUNT - CLOCK)])
     # Once to see what is shown, and again without what is not.
     first = fit_reference(compared, free, sds)
@@ -439,7 +434,7 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
         parameter = SHARED[row]
         if row < CLOCK and row not in OF_DVL:
             continue
-        # Told first: at the edge what is left is no noise, and no sd right.
+        # First of all: at the edge what is left is no noise, and no sd right.
         if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - parameter.step:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif certainty.signal_to_noise[row] < SEEN:

@@ -88,10 +88,14 @@ def calibrate(
     """
     from insdvl_replay.calibration.calibration import calibrate as calibrated
     from insdvl_replay.calibration.calibration import held_out_row
-    from insdvl_replay.calibration.document import calibration_document
-    from insdvl_replay.calibration.figures import calibration_figures
     from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
-    from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
+    from insdvl_replay.calibration.output import (
+        calibration_csv,
+        calibration_document,
+        calibration_figures,
+        calibration_json,
+        calibration_toml,
+    )
     from insdvl_replay.calibration.parameters import Geometry
     from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.messages import log_notes, write_stdout

@@ -11,7 +11,7 @@ from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
 
 if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
-    from insdvl_replay.inspection.survey import Inventory
+    from insdvl_replay.inspection.inventory import Inventory
 
 
 def inspect(
@@ -110,7 +110,7 @@ def _propose(
 
 def _print(inventory: "Inventory", format_: opt.Format, *, is_first: bool) -> None:
     from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.inspection.survey import inventory_csv, inventory_document
+    from insdvl_replay.inspection.inventory import inventory_csv, inventory_document
     from insdvl_replay.results.json_report import as_json
 
     text = in_format(

@@ -8,7 +8,7 @@ from insdvl_replay.calibration.rows import CalibrationResult
 from insdvl_replay.changes.comparison import Comparison
 from insdvl_replay.changes.formats import CheckReport
 from insdvl_replay.core.config import Config
-from insdvl_replay.inspection.survey import Inventory
+from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.results.json_report import Report, as_json
 from insdvl_replay.studies.study_report import StudyResult
 

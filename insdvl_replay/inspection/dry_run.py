@@ -19,6 +19,7 @@ from insdvl_replay.core.dive_columns import ImuColumns, seconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
 from insdvl_replay.core.words import Severity
+from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, read_sample, read_tables
@@ -28,46 +29,13 @@ from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.recording import Recording
 from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_notes, stamp_notes
 
-_ENOUGH: Final = 1000
-"""Messages of a topic that show its clock and its units."""
+_ENOUGH: Final = 1000  # messages of a topic that show its clock and its units
 _ENOUGH_OF_OTHERS: Final = 10
 _MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
 _LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
 _LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
 
-OnError = Callable[[UserError], None]
-"""What is done about an error that would end a replay."""
-
-
-@dataclass(frozen=True)
-class PingFacts:
-    """How many messages of the DVL are pings of their own, and how many beams these have."""
-
-    messages: int  # all that were read
-    repeats: int  # those that repeat the one before
-    pings: int  # those that can be used
-    four_or_more: int  # pings by their beams; all 0 where the DVL reports velocities only
-    three: int
-    fewer: int
-    rate_hz: float | None  # one over the median time between pings
-
-
-@dataclass(frozen=True)
-class ReferenceFacts:
-    """What the reference gives, and over which part of the IMU's span, from the first to the last row that has it."""
-
-    rows: int
-    position_pct: float
-    velocity_pct: float
-    attitude_pct: float
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """What would stop a replay: the error that ``run`` would end with."""
-
-    message: str
-    hint: str
+OnError = Callable[[UserError], None]  # what is done about an error that would end a replay
 
 
 @contextmanager

@@ -38,7 +38,8 @@ from insdvl_replay.core.states import (
     VELOCITY_UNITS,
 )
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
-from insdvl_replay.inspection.dry_run import DryRun, Obstacle
+from insdvl_replay.inspection.dry_run import DryRun
+from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.probe import Candidate, ProbedTopic, probe_topics, time_paths
 from insdvl_replay.logs.columns.clocks import LARGEST_JITTER_S, clock_notes, stamp_unit
 from insdvl_replay.logs.columns.imu import FRD, in_frd
@@ -194,8 +195,7 @@ def _recorder_stamps(
 
 # --- The IMU: topic and fields by their names, units and axes by gravity and the reference.
 
-_SAME: Final = 0.1
-"""Part by which a unit may differ from gravity."""
+_SAME: Final = 0.1  # part by which a unit may differ from gravity
 _RATE_COHERENT: Final = 0.95
 _RATE_CLEARLY: Final = 0.02
 _TURNED: Final = 2.0 * DEG
@@ -322,10 +322,8 @@ def axes_word(rows: Floats) -> str:
 
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
 _FLAGS: Final = re.compile(r"valid|lock|good")
-_SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0
-"""Speeds over ground of a vehicle under way."""
-_CLOSE: Final = 1.5
-"""Factor within which a comparison with the reference decides on a unit."""
+_SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0  # speeds over ground of a vehicle under way
+_CLOSE: Final = 1.5  # factor within which a comparison with the reference decides on a unit
 _DVL_COHERENT: Final = 0.97
 _DVL_CLEARLY: Final = 0.01
 _DVL_AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
@@ -423,10 +421,8 @@ _PLACE: Final = ("latitude", "longitude")
 _ATTITUDE: Final = ("roll", "pitch", "heading")
 _NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
 _EAST_AND_DOWN: Final = {"n": ("e", "d"), "north": ("east", "down")}
-_FULL_CIRCLE: Final = 6.3
-"""No angle in radians is larger."""
-_FITS: Final = 0.1
-"""Part of the way by which a velocity may miss the positions beside it."""
+_FULL_CIRCLE: Final = 6.3  # no angle in radians is larger
+_FITS: Final = 0.1  # part of the way by which a velocity may miss the positions beside it
 _FITS_CLEARLY: Final = 0.3
 _MEANT: Final = (
     "whether it is a solution to start from and to compare with; meant are roll starboard side down, pitch bow up and "
@@ -509,10 +505,8 @@ _ROLES: Final = (
 )
 """How the topic of each role is chosen, what is then proposed for it, and what a person must name where none is found;
 the topic that one has is no other's."""
-_REFERENCE: Final = 2
-"""Its place among the findings."""
-_LONGEST: Final = 12
-"""Topics that are listed at most."""
+_REFERENCE: Final = 2  # its place among the findings
+_LONGEST: Final = 12  # topics that are listed at most
 _DEFAULTS: Final = ("frd", "rad/s")
 """What a known type is taken to give; only something else is worth a setting."""
 
@@ -639,17 +633,17 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
     measured = not_yet_set(_recorder_stamps(log, findings, seen.clocks, config), config)
     if imu is not None:
         (source,) = findings[0].sources
-        of_imu = source.completed(config.imu)
-        found = list(_measured_imu(imu, of_imu, reference, gyro_scale(imu, dvl, reference, config)))
+        imu_settings = source.completed(config.imu)
+        found = list(_measured_imu(imu, imu_settings, reference, gyro_scale(imu, dvl, reference, config)))
         # The scale of the gyros, once the rate is in the axes and the unit that are proposed.
         values = {setting.key: setting.value for setting in found if setting.value is not None}
-        read_in = of_imu.angular_rate_unit or "rad/s"
+        read_in = imu_settings.angular_rate_unit or "rad/s"
         unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
         rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)
         scale = gyro_scale(replace(imu, angular_rate_b=rate_b), dvl, reference, config) if deep else None
         if scale is not None and scale.tolerance <= 1.0 + TRACK_DOUBT and scale.tolerance < scale.off < UNIT_WRONG:
             text = f"the angular rate is {scale.scale:.3g} times what {scale.by} shows"
-            number = round(scale.scale * of_imu.angular_rate_scale, 3)
+            number = round(scale.scale * imu_settings.angular_rate_scale, 3)
             found.append(Setting("imu.angular_rate_scale", number, text))
         if "imu.angular_rate" not in named:
             # Of a known type only what is unlike it, and of which topic it holds.

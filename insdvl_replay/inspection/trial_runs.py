@@ -40,11 +40,9 @@ from insdvl_replay.preparation.prepared import read_checked_dive, with_reference
 from insdvl_replay.preparation.run import FIT, fitted_start
 from insdvl_replay.replay import replay_dive
 
-MOST_DIVES: Final = 5
-"""Dives that are read to try a mounting on: more would say the same again."""
+MOST_DIVES: Final = 5  # dives that are read to try a mounting on: more would say the same again
 UNKNOWN_LATITUDE_DEG: Final = 45.0
-CERTAIN_SDS: Final = 5.0
-"""A scale that a track shows less surely is not worth a line."""
+CERTAIN_SDS: Final = 5.0  # a scale that a track shows less surely is not worth a line
 _GRADES: Final = ("fog", "tactical", "mems")
 """Presets from the quietest IMU to the noisiest."""
 _NOISES: Final = {"accel_white_mps_rts": "m/s/sqrt(s)", "gyro_white_rad_rts": "rad/sqrt(s)"}
@@ -164,8 +162,8 @@ def _preset_config(preset: str, config: Config) -> Config:
     """Set noise and filters of a preset in a configuration; none changes nothing."""
     if not preset:
         return config
-    of_class = load_config(preset)
-    return msgspec.structs.replace(config, noise=of_class.noise, filters=of_class.filters)
+    found = load_config(preset)
+    return msgspec.structs.replace(config, noise=found.noise, filters=found.filters)
 
 
 # --- What trial runs show.
@@ -202,16 +200,16 @@ def trial_runs(dives: Sequence[Dive], config: Config) -> tuple[list[Setting], st
 
 def imu_class(imu: ImuColumns, initial: Initial) -> tuple[str, list[Setting]]:
     """Find the class of sensors that the readings of an IMU may come from, and propose its noise and biases."""
-    classes, said = [], []
+    classes, scatters = [], []
     for (key, unit), readings in zip(_NOISES.items(), (imu.specific_force_b, imu.angular_rate_b), strict=True):
         scatter = readings_scatter(readings, imu.usual_step_s)
         name = sensor_class(key, scatter) if scatter > 0.0 else ""
         classes.append(name or _GRADES[-1])
-        of_class = name or "of no class"
-        said.append(f"{CLASSES[key].name} scatter by {scatter:.2g} {unit} from sample to sample ({of_class})")
+        shown = name or "of no class"
+        scatters.append(f"{CLASSES[key].name} scatter by {scatter:.2g} {unit} from sample to sample ({shown})")
     preset = max(classes, key=_GRADES.index)
     config, default = load_config(preset), Initial()
-    seen = f"preset {preset}: in the usual half second, {', '.join(said)}"
+    seen = f"preset {preset}: in the usual half second, {', '.join(scatters)}"
     smooths = "an IMU that smooths its readings is noisier than they show" if preset != _GRADES[-1] else ""
     settings = [Setting(f"noise.{key}", value) for key, value in msgspec.structs.asdict(config.noise).items()]
     settings[0] = Setting(settings[0].key, settings[0].value, seen, smooths)
@@ -292,8 +290,8 @@ def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
     if not fitted:
         yield Setting(key, None, failed[0], "at the start, from north over east")
         return
-    told = ", ".join(f"{start.heading_deg:.1f} +- {start.heading_sd_deg:.2g} deg" for start in fitted)
-    text = f"by the track of the reference's positions, anew in each replay; as settings are now, {told}"
+    headings = ", ".join(f"{start.heading_deg:.1f} +- {start.heading_sd_deg:.2g} deg" for start in fitted)
+    text = f"by the track of the reference's positions, anew in each replay; as settings are now, {headings}"
     yield Setting(key, FIT, "; ".join((text, *failed)))
     if len(dives) > 1:
         return

@@ -164,7 +164,7 @@ main()
     "where",
     [
         "output.toml_value",
-        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("fit.robust_cost", "figures.delay_profile")),
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in ("fit.robust_cost", "output.delay_profile")),
     ],
 )
 @pytest.mark.parametrize("signal_", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.nightly)])

@@ -10,9 +10,8 @@ from browser import PROGRAM, opened_browser
 from built_in import ReadDive, built_in_otherwise
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.document import calibration_document
-from insdvl_replay.calibration.figures import DRAWN, calibration_figures
 from insdvl_replay.calibration.fit import scatter_of
+from insdvl_replay.calibration.output import DRAWN, calibration_document, calibration_figures
 from insdvl_replay.calibration.parameters import LABELS
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line

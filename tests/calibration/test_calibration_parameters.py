@@ -20,6 +20,7 @@ from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.preparation.filters import dvl_mounting
+from insdvl_replay.preparation.run import prepare_with_heading
 from insdvl_replay.sim.dive import exact_dive
 
 CHANGE = np.array([0.03, 0.02, -0.01, 0.05, 0.3, -0.1, 0.2, 0.01])
@@ -32,9 +33,11 @@ def exact() -> Dive:
 
 
 def test_moved_pings_are_those_of_a_log_that_is_read_with_the_new_settings(exact: Dive) -> None:
-    read = as_read(exact).with_config(with_dvl(CONFIG, CONFIGURED))
-    before, proposed = read.prepared(), CONFIGURED.changed(CHANGE)
-    expected = read.prepared(proposed)
+    read = as_read(exact)
+    proposed = CONFIGURED.changed(CHANGE)
+    before, expected = (
+        prepare_with_heading(read.dive, with_dvl(CONFIG, geometry)) for geometry in (CONFIGURED, proposed)
+    )
     moved = moved_pings(before.velocities, CHANGE)
     inside = slice(1, -1)
     np.testing.assert_allclose(moved.velocity_b[inside], expected.velocities.velocity_b[inside], atol=1e-13)

@@ -10,9 +10,8 @@ import pytest
 from built_in import CONFIG, WHITE
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.document import calibration_document
 from insdvl_replay.calibration.innovations import ReadDive
-from insdvl_replay.calibration.output import calibration_csv, calibration_json, calibration_toml
+from insdvl_replay.calibration.output import calibration_csv, calibration_document, calibration_json, calibration_toml
 from insdvl_replay.calibration.parameters import (
     CLOCK,
     REFERENCE_ARM,

@@ -21,8 +21,9 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG
+from insdvl_replay.inspection.inventory import Inventory, inventory_document
 from insdvl_replay.inspection.probe import vector_paths
-from insdvl_replay.inspection.survey import Inventory, inspect_log, inventory_document
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log
 from insdvl_replay.report.terminal import for_terminal

@@ -11,7 +11,8 @@ from rosbag_messages import START_NS, imu_messages, serialised, store_with
 
 from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.survey import inspect_log, inventory_csv, inventory_tables
+from insdvl_replay.inspection.inventory import inventory_csv, inventory_tables
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.types import definition_text, definitions_of
 
