@@ -25,7 +25,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import with_more_states
-from insdvl_replay.studies import simulated_run
+from insdvl_replay.studies import montecarlo
 from insdvl_replay.studies.montecarlo import study_montecarlo
 
 ROUNDS = 5
@@ -163,7 +163,7 @@ def state_rows() -> list[str]:
 def stages_timed() -> Iterator[dict[str, float]]:
     """Add up the seconds of processor time that the stages of simulated runs take."""
     spent: dict[str, float] = defaultdict(float)
-    originals = {name: getattr(simulated_run, name) for name in STAGES}
+    originals = {name: getattr(montecarlo, name) for name in STAGES}
 
     def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def run(*arguments: Any, **options: Any) -> Any:
@@ -175,12 +175,12 @@ def stages_timed() -> Iterator[dict[str, float]]:
         return run
 
     for name, function in originals.items():
-        setattr(simulated_run, name, timed(name, function))
+        setattr(montecarlo, name, timed(name, function))
     try:
         yield spent
     finally:
         for name, function in originals.items():
-            setattr(simulated_run, name, function)
+            setattr(montecarlo, name, function)
 
 
 def study_row(runs: int, jobs: int) -> str:

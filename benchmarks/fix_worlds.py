@@ -25,7 +25,7 @@ from insdvl_replay.evaluation.over_dives import pooled_candidate, pooled_sentenc
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 DIVES: Final = 8
 SEED: Final = 32

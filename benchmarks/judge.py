@@ -36,7 +36,7 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_filters
 from insdvl_replay.replay import Replay, replay_dive
-from insdvl_replay.studies.simulated_run import MonteCarloSetup, drawn_start
+from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start
 
 DIVES, SEA_DIVES = 60, 24
 TRUTH_DIVES, TRUTH_ALONE = 72, 1000

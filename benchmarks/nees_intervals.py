@@ -26,7 +26,7 @@ from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_filters
 from insdvl_replay.sim.dive import add_errors, exact_dive
-from insdvl_replay.studies.simulated_run import MonteCarloSetup, drawn_start, matched_errors, run_seed
+from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start, matched_errors, run_seed
 
 DIVES, SEED, DURATION_S = 200, 1, 300.0
 SCENARIO: Final = "figure-eight"

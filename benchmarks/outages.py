@@ -18,7 +18,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.evaluation.ensemble import RunErrors
 from insdvl_replay.sim.dive import exact_dive
-from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
+from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
 RUNS, SEED = 40, 1
 SCENARIO = "lawnmower"

@@ -19,7 +19,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 SCENARIO: Final = "figure-eight"
 DURATION_S: Final = 300.0

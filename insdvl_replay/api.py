@@ -15,10 +15,10 @@ from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
-from insdvl_replay.results.dive_screen import dive_screen
 from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.json_report import Report, build_report, this_tool
 from insdvl_replay.results.stored_results import read_one_result
+from insdvl_replay.show.dive import dive_screen
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.config import Config, Dvl, Evaluation, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.sim.dive import simulate_dive
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 SHARE = 0.05
 BEAM_SD_MPS = 0.01

@@ -13,11 +13,11 @@ from msgspec import Struct
 
 from insdvl_replay.core.dive_columns import seconds
 from insdvl_replay.core.history import History
+from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import STATES
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.predicted import mean_over_nine
 from insdvl_replay.replay import Replay
-from insdvl_replay.studies.study_report import StudyReport
 
 REPEATED = "repeated"
 NOT_REPEATED = "**not repeated**"
@@ -140,7 +140,7 @@ def eight_claims(eight: Replay, straight: Replay) -> Iterator[Claim]:
     yield judged(place, "the z gyro bias stays unobservable", f"left of its prior sigma: {left:.1%}", left > 0.95)
 
 
-def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: StudyReport) -> Iterator[Claim]:
+def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: Result) -> Iterator[Claim]:
     """Check what is said of the Monte Carlo runs over legs and U-turns."""
     place = "S-manoeuvres, Monte Carlo"
     aided = named(ensembles, "aided")
@@ -208,7 +208,7 @@ def lawnmower_claims(ensembles: tuple[Ensemble, ...], study: StudyReport) -> Ite
         )
 
 
-def window_claims(study: StudyReport) -> Iterator[Claim]:
+def window_claims(study: Result) -> Iterator[Claim]:
     """Check how many velocities make the best acceleration, on all dives together."""
     windows, best = study.tables["window"], study.tables["best"]
     rows = windows[(windows["log"] == "*") & (windows["lever_arm"] == "compensated")]
@@ -227,7 +227,7 @@ def window_claims(study: StudyReport) -> Iterator[Claim]:
         yield judged("past DVL measurements", f"three velocities are best, {where}", f"{n}", n == 3)
 
 
-def observability_claims(study: StudyReport) -> Iterator[Claim]:
+def observability_claims(study: Result) -> Iterator[Claim]:
     """Check what is said of ranks and unobservable subspaces."""
     place = "observability"
     rank = study.tables["ranks"].set_index("aiding")["rank"]

@@ -10,15 +10,15 @@ from functools import partial
 from written import PROJECT
 
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.result import Result
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.report.plots.svg import sheet_svg
-from insdvl_replay.results.dive_figures import replay_figures
+from insdvl_replay.show.figures import replay_figures
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.studies.montecarlo import PICTURES as ENSEMBLE_PICTURES
-from insdvl_replay.studies.montecarlo_document import ensemble_figure
-from insdvl_replay.studies.study_report import StudyReport
-from insdvl_replay.studies.window_document import window_figure
+from insdvl_replay.studies.montecarlo import ensemble_figure
+from insdvl_replay.studies.window import window_figure
 
 EVERY = 5
 """Of the pings in an ensemble, so many make one point of a curve."""
@@ -54,7 +54,7 @@ PICTURES: dict[str, Callable[[], bytes]] = {
 }
 
 
-def study_pictures(ensemble: Ensemble, title: str, window: StudyReport) -> dict[str, Callable[[], bytes]]:
+def study_pictures(ensemble: Ensemble, title: str, window: Result) -> dict[str, Callable[[], bytes]]:
     """Name the pictures of the studies, as `PICTURES` does those of the samples.
 
     Parameters
@@ -62,7 +62,7 @@ def study_pictures(ensemble: Ensemble, title: str, window: StudyReport) -> dict[
     ensemble : Ensemble
         Of the aided filter, over the lawnmower.
     title : str
-    window : StudyReport
+    window : Result
     """
     columns = (ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean)
     thinned = [column[::EVERY] for column in columns]

@@ -20,6 +20,7 @@ from written import PROJECT, markdown_table, renewed
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.quantities import label
+from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.table import finite
 from insdvl_replay.core.tables import PooledRow
@@ -29,7 +30,6 @@ from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
 from insdvl_replay.studies.observability import study_observability
-from insdvl_replay.studies.study_report import StudyReport
 from insdvl_replay.studies.window import study_window
 
 PAGE = PROJECT / "docs" / "reproduction.md"
@@ -74,10 +74,10 @@ class Findings:
     straight: Replay
     eight: Replay
     ensembles: tuple[Ensemble, ...]
-    montecarlo: StudyReport
-    fog: dict[tuple[str, str], StudyReport]
-    window: StudyReport
-    observability: StudyReport
+    montecarlo: Result
+    fog: dict[tuple[str, str], Result]
+    window: Result
+    observability: Result
     dives: list[Replay]
     fitted: list[Replay]
     misplaced: list[Replay]
@@ -104,7 +104,7 @@ def find(dives: Path) -> Findings:
     )
 
 
-def fog_study(scenario: str, preset: str) -> StudyReport:
+def fog_study(scenario: str, preset: str) -> Result:
     """Simulate dives with the sensors of a survey vehicle."""
     return study_montecarlo(scenario, load_config(preset=preset), imu="fog", runs=FOG_RUNS)[0]
 

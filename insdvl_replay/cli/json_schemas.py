@@ -8,15 +8,15 @@ from insdvl_replay.calibration.rows import CalibrationResult
 from insdvl_replay.changes.comparison import Comparison
 from insdvl_replay.changes.formats import CheckReport
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.result import ResultJson
 from insdvl_replay.inspection.inventory import Inventory
 from insdvl_replay.results.json_report import Report, as_json
-from insdvl_replay.studies.study_report import StudyResult
 
 SCHEMAS: Final[dict[str, type]] = {
     "config": Config,
     "report": Report,
     "inspection": Inventory,
-    "study": StudyResult,
+    "study": ResultJson,
     "comparison": Comparison,
     "calibration": CalibrationResult,
     "check": CheckReport,

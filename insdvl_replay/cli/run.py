@@ -80,13 +80,18 @@ def run(
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
     from insdvl_replay.report.document import Only, Part
-    from insdvl_replay.results.chosen_tables import csv_of, json_of, require_tables, tables_named
-    from insdvl_replay.results.dive_document import dive_document, heading
-    from insdvl_replay.results.dive_screen import dive_screen
-    from insdvl_replay.results.dives_screen import dives_screen
     from insdvl_replay.results.folder import PAGE, result_file
     from insdvl_replay.results.json_report import Report, encode_report
-    from insdvl_replay.results.overviews import Failure, overview_parts
+    from insdvl_replay.show.dive import (
+        csv_of,
+        dive_document,
+        dive_screen,
+        heading,
+        json_of,
+        require_tables,
+        tables_named,
+    )
+    from insdvl_replay.show.dives import Failure, dives_screen, overview_parts
 
     if history is opt.HistoryFormat.PARQUET:
         from insdvl_replay.results.result_files import require_parquet
@@ -178,7 +183,7 @@ def _overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> "d
     """Return what is written of several dives together; what bears such a name and is none is left alone."""
     from insdvl_replay.report.page import is_page
     from insdvl_replay.results.folder import require_replaceable_file
-    from insdvl_replay.results.overviews import evidence_csv, index_page, is_evidence, is_summary, summary_csv
+    from insdvl_replay.show.dives import evidence_csv, index_page, is_evidence, is_summary, summary_csv
 
     known = {
         "summary.csv": (summary_csv, is_summary),

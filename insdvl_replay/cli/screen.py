@@ -10,15 +10,20 @@ from typing import Literal
 from rich.console import Console, RenderableType
 
 from insdvl_replay.cli.messages import log_to_stderr
+from insdvl_replay.core.result import Document, Result
 from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
-from insdvl_replay.report.document import Document
-from insdvl_replay.report.latex import as_latex
-from insdvl_replay.report.markdown import as_markdown
-from insdvl_replay.report.page import page
-from insdvl_replay.report.terminal import for_terminal, spoken
+from insdvl_replay.show.page import page
+from insdvl_replay.show.render import document as parts_of
+from insdvl_replay.show.render import render
+from insdvl_replay.show.text import as_latex, as_markdown, for_terminal, spoken
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""
+
+
+def written(result: Result, format_: StrEnum) -> str:
+    """Return a result as ``--format`` asks for it."""
+    return printed(for_terminal(parts_of(result))) if format_.value == "table" else render(result, format_.value)
 
 
 def in_format(

@@ -8,7 +8,7 @@ import typer
 from insdvl_replay.cli import options as opt
 
 if TYPE_CHECKING:
-    from insdvl_replay.studies.study_report import StudyReport
+    from insdvl_replay.core.result import Result
 
 study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
 
@@ -71,17 +71,18 @@ def montecarlo(
     from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
-    from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
+    from insdvl_replay.results.folder import result_folder
+    from insdvl_replay.show.render import save_result
+    from insdvl_replay.studies.montecarlo import repeat_run, study_montecarlo
 
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
     outages = opt.outage_spans(outage)
     if run is not None:
         _print(repeat_run(scenario, resolved, run, seed=seed, duration_s=duration, imu=imu, outages=outages), format_)
         return
-    require_replaceable_folder(target, force=force)
+    _require(target, force=force, png=png)
     with progress(f"simulating {scenario}", runs, note=compiling().lstrip("; ")) as after_run:
-        report, ensembles = study_montecarlo(
+        report, _ = study_montecarlo(
             scenario,
             resolved,
             runs=runs,
@@ -93,7 +94,7 @@ def montecarlo(
             after_run=after_run,
         )
     with result_folder(target, force=force) as folder:
-        save_montecarlo(report, ensembles, folder, png=png)
+        save_result(report, folder, png=png)
     _print(report, format_)
     log_to_stderr(f"wrote {target}")
 
@@ -133,17 +134,18 @@ def window(
     from insdvl_replay.cli.screen import spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
-    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
-    from insdvl_replay.studies.window import LEFT_OUT, save_window, study_window
+    from insdvl_replay.results.folder import result_folder
+    from insdvl_replay.show.render import save_result
+    from insdvl_replay.studies.window import LEFT_OUT, study_window
 
     given = [*settings, *opt.span_settings(start, end)]
     resolved, target = load_config(preset, config, given, allow_code=True).without_code(), output / "window"
     dives = find_dives(logs)
-    require_replaceable_folder(target, force=force)
+    _require(target, force=force, png=png)
     with spinner("comparing accelerations"):
         report = study_window(dives, resolved, longest, jobs=jobs)
     with result_folder(target, force=force) as folder:
-        save_window(report, folder, png=png)
+        save_result(report, folder, png=png)
     _print(report, format_)
     log_notes(report.notes, verbose=verbose > 0)
     log_to_stderr(f"wrote {target}")
@@ -183,31 +185,34 @@ def observability(
     from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.dive_record import dive_name
-    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
-    from insdvl_replay.studies.observability import save_observability, study_observability
+    from insdvl_replay.results.folder import result_folder
+    from insdvl_replay.show.render import save_result
+    from insdvl_replay.studies.observability import study_observability
 
     resolved = load_config(preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True).without_code()
     target = output / f"observability-{dive_name(Path(dive))}"
-    require_replaceable_folder(target, force=force)
+    _require(target, force=force, png=png)
     with spinner(f"stacking the measurements{compiling()}"):
         report = study_observability(dive, resolved, earth_rate=not no_earth_rate)
     with result_folder(target, force=force) as folder:
-        save_observability(report, folder, png=png)
+        save_result(report, folder, png=png)
     _print(report, format_)
     log_notes(report.notes, verbose=verbose > 0)
     log_to_stderr(f"wrote {target}")
 
 
-def _print(report: "StudyReport", format_: opt.Format) -> None:
-    from insdvl_replay.cli.messages import write_stdout
-    from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.studies.study_report import study_csv, study_document, study_json
+def _require(target: Path, *, force: bool, png: bool) -> None:
+    """Raise before the work what would stop its files from being written."""
+    from insdvl_replay.results.folder import require_replaceable_folder
+    from insdvl_replay.show.paper import require_matplotlib
 
-    write_stdout(
-        in_format(
-            format_,
-            document=lambda: study_document(report),
-            json=lambda: study_json(report),
-            csv=lambda: study_csv(report),
-        )
-    )
+    require_replaceable_folder(target, force=force)
+    if png:
+        require_matplotlib()
+
+
+def _print(report: "Result", format_: opt.Format) -> None:
+    from insdvl_replay.cli.messages import write_stdout
+    from insdvl_replay.cli.screen import written
+
+    write_stdout(written(report, format_))

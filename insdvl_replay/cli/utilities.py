@@ -282,9 +282,9 @@ def figure(
     from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.core.stored_report import StoredReport
     from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
-    from insdvl_replay.results.paper_figures import Drawn, chosen_states, draw_figure
     from insdvl_replay.results.stored_results import read_one_result
-    from insdvl_replay.results.trajectory import read_trajectory
+    from insdvl_replay.results.trajectory import KINDS, chosen_states, paper_figure, read_trajectory
+    from insdvl_replay.show.paper import drawn
 
     if states and kind is not Kind.SIGMA:
         raise ConfigError(
@@ -302,8 +302,10 @@ def figure(
         hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_.value}')}"
         raise ConfigError(f"{target}: does not end in .{format_.value}", hint)
     with result_file(target, force=force) as path:
-        drawn = Drawn(trajectory, report.tables.get("coasting", []), chosen)
-        draw_figure(kind.value, drawn, path, width_mm=width_mm)
+        figure = paper_figure(kind.value, trajectory, report.tables.get("coasting", []), chosen)
+        if not figure.panels:
+            raise ConfigError(f"there is nothing to draw for {kind.value}", f"kinds: {', '.join(KINDS)}")
+        path.write_bytes(drawn(figure, format_.value, width_mm))
     log_to_stderr(f"wrote {target}")
 
 

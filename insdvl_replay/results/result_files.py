@@ -12,16 +12,13 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, visible
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import WITHHELD, is_whole
+from insdvl_replay.core.result import Report, as_json, build_report, this_tool
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, DVL_AIDING, MG, STATES
 from insdvl_replay.core.tables import each_table
 from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.replay import Replay
-from insdvl_replay.report.csv_tables import structs_csv, table_csv
-from insdvl_replay.results.dive_document import dive_page
-from insdvl_replay.results.dive_figures import replay_coverage, replay_figures, replay_first_panels
-from insdvl_replay.results.dive_tables import NO_REFERENCE, has_reference
 from insdvl_replay.results.folder import (
     COMPLETE,
     PAGE,
@@ -31,9 +28,11 @@ from insdvl_replay.results.folder import (
     history_file,
     trajectory_file,
 )
-from insdvl_replay.results.json_report import Report, build_report, encode_report, this_tool
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.results.viewer_layouts import viewer_layouts
+from insdvl_replay.show.dive import NO_REFERENCE, dive_page, has_reference
+from insdvl_replay.show.document import structs_csv, table_csv
+from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -78,10 +77,10 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
     report_stage("drawing the report")
-    strips = replay_coverage(replay)  # before the figures, which hold much until they are drawn
-    page = dive_page(report, replay_first_panels(replay), replay_figures(replay), strips, settings)
+    strips = coverage_strips(replay)  # before the figures, which hold much until they are drawn
+    page = dive_page(report, first_panels(replay), replay_figures(replay), strips, settings)
     (folder / PAGE).write_bytes(page)
-    (folder / COMPLETE).write_bytes(encode_report(report))
+    (folder / COMPLETE).write_bytes(as_json(report))
 
 
 def run_log(report: Report) -> str:

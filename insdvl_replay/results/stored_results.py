@@ -9,7 +9,7 @@ import msgspec
 
 from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
-from insdvl_replay.core.stored_report import StoredReport, StoredResult
+from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.results.folder import COMPLETE, NOT_JSON, read_file
 
@@ -19,7 +19,7 @@ _Kind = TypeVar("_Kind")
 class _Label(msgspec.Struct):
     """As much of a file as tells what it is."""
 
-    study: str | None = None
+    kind: str | None = None
     tool: dict[str, str | float | None] = {}
 
 
@@ -86,7 +86,7 @@ def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     try:
         data = read_file(file)
         label = msgspec.json.decode(data, type=_Label)
-        if label.study is not None:
+        if label.kind is not None:
             return None
         report = msgspec.json.decode(data, type=kind)
     except OSError as error:

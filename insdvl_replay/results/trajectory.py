@@ -1,11 +1,12 @@
-"""The trajectory of each filter once a second, in ``trajectory.npz``: what a gate compares sample by sample.
+"""The trajectory of each filter once a second, in ``trajectory.npz``: what a gate compares, and a paper prints.
 
 It is small, a few hundred bytes a second, and full: every state with its standard deviation, and the errors against the
 reference. numpy reads it: ``names``, ``columns``, ``time_s``, ``sha256`` of the log, and ``values`` of shape (filters,
 times, columns).
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -16,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.errors import require_known
+from insdvl_replay.core.result import BELIEVED, Curve, Figure, Panel, Row, filter_style
 from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.results.folder import read_file
 
 if TYPE_CHECKING:
-    # Only their types are needed, and whoever reads a trajectory must not wait for the filters.
-    from insdvl_replay.core.history import History
-    from insdvl_replay.evaluation.errors import ReferenceErrors
+    # Only their types are needed: who reads a trajectory must not wait for the filters.
     from insdvl_replay.replay import Replay
 
 _CURVE: Final = "curve_"
@@ -32,32 +33,18 @@ _CURVE: Final = "curve_"
 _OF_DVL: Final = ("velocity", "acceleration")
 """Measurements whose NIS is compared, in the order of the columns."""
 _HELD_NS: Final = 10 * NS_PER_S
-"""An error against the reference stands for so long after the time of the reference."""
+"""An error against the reference is used for so long after the time of the reference."""
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The filters of a dive, second by second.
+    """The filters of a dive, second by second."""
 
-    Attributes
-    ----------
-    sha256 : str
-        Of the log.
-    names : tuple of str
-        Of the filters; the first is the baseline.
-    time_s : ndarray, shape (k,)
-        From the start of the replay.
-    values : ndarray, shape (filters, k, columns)
-        In the order of `COLUMNS`; NaN where nothing is known.
-    curves : dict of str to ndarray
-        Measured convergence, by quantity: ``QUANTITY_time_s``, shape (g,), and ``QUANTITY_rms`` and
-        ``QUANTITY_believed``, shape (filters, g), SI units.
-    """
-
-    sha256: str
-    names: tuple[str, ...]
-    time_s: Floats
-    values: Floats
+    sha256: str  # of the log
+    names: tuple[str, ...]  # of the filters; the first is the baseline
+    time_s: Floats  # (k,), from the start of the replay
+    values: Floats  # (filters, k, columns), in the order of `COLUMNS`; NaN where nothing is known
+    # Measured convergence, SI units: QUANTITY_time_s (g,), QUANTITY_rms and QUANTITY_believed (filters, g).
     curves: Mapping[str, Floats] = field(default_factory=dict)
 
     def of(self, name: str, column: str) -> Floats:
@@ -69,80 +56,52 @@ class Trajectory:
 def trajectory_of(replay: "Replay") -> Trajectory:
     """Sample the histories of a replay once a second: the last state at or before each."""
     grid_ns = np.arange(replay.start_ns, replay.end_ns + 1, NS_PER_S)
-    origin = replay.histories[0].position[0]
-    values = np.stack(
-        [
-            np.column_stack(
+    origin, factors = replay.histories[0].position[0], np.array([state.factor for state in STATES])
+    values = []
+    for history in replay.histories:
+        rows = _last_before(history.time_ns, grid_ns)
+        position = history.position[rows]
+        nis = np.full((len(grid_ns), len(_OF_DVL)), np.nan)  # over the degrees of freedom; NaN before the first update
+        for met in history.innovations:
+            if met.measurement in _OF_DVL and len(met.time_ns):
+                begun = grid_ns >= met.time_ns[0]
+                latest = _last_before(met.time_ns, grid_ns)[begun]
+                nis[begun, _OF_DVL.index(met.measurement)] = met.nis[latest] / met.dof
+        error = np.full((len(grid_ns), len(GROUPS["error"])), np.nan)
+        errors = replay.errors.get(history.filter)
+        if errors is not None and len(errors.time_ns):
+            latest = _last_before(errors.time_ns, grid_ns)
+            age_ns = grid_ns - errors.time_ns[latest]
+            known = (age_ns >= 0) & (age_ns <= _HELD_NS)
+            position_m, velocity_mps, attitude_rad = (
+                array[latest[known]]
+                for array in (errors.position_error_ned_m, errors.velocity_error_n, errors.attitude_error_rad)
+            )
+            error[known] = np.column_stack(
                 [
-                    _states(history, grid_ns, origin),
-                    _nis(history, grid_ns),
-                    _errors(replay.errors.get(history.filter), grid_ns),
+                    np.hypot(position_m[:, 0], position_m[:, 1]),
+                    position_m[:, 2],
+                    np.hypot(velocity_mps[:, 0], velocity_mps[:, 1]),
+                    np.hypot(attitude_rad[:, 0], attitude_rad[:, 1]) / DEG,
+                    attitude_rad[:, 2] / DEG,
                 ]
             )
-            for history in replay.histories
-        ]
-    )
-    names = tuple(history.filter for history in replay.histories)
-    return Trajectory(replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, values, _curves(replay))
-
-
-def _curves(replay: "Replay") -> dict[str, Floats]:
-    names = [history.filter for history in replay.histories]
-    found: dict[str, Floats] = {}
-    for quantity, curve in replay.curves.convergence.items():
-        found[f"{quantity}_time_s"] = curve.time_s
-        unknown = np.full(len(curve.time_s), np.nan)  # of a solution that was read
-        found[f"{quantity}_rms"] = np.stack([curve.rms.get(name, unknown) for name in names])
-        found[f"{quantity}_believed"] = np.stack([curve.believed.get(name, unknown) for name in names])
-    return found
-
-
-def _states(history: "History", grid_ns: TimeNs, origin: Floats) -> Floats:
-    rows = _last_before(history.time_ns, grid_ns)
-    position = history.position[rows]
-    return np.column_stack(
-        [
+        states = [
             north_east_down_m(position, np.broadcast_to(origin, position.shape)),
             history.velocity_n[rows],
             rpy_from_mat(history.mat_nb[rows]) / DEG,
             history.accel_bias_b[rows] / MG,
             history.gyro_bias_b[rows] / DEG_PER_HOUR,
-            history.sd[rows, : len(STATES)] / np.array([state.factor for state in STATES]),
+            history.sd[rows, : len(STATES)] / factors,
         ]
-    )
-
-
-def _nis(history: "History", grid_ns: TimeNs) -> Floats:
-    """Return the NIS of the last update of each measurement, over its degrees of freedom; NaN before the first."""
-    found = np.full((len(grid_ns), len(_OF_DVL)), np.nan)
-    for met in (one for one in history.innovations if one.measurement in _OF_DVL):
-        if len(met.time_ns):
-            rows, begun = _last_before(met.time_ns, grid_ns), grid_ns >= met.time_ns[0]
-            found[begun, _OF_DVL.index(met.measurement)] = met.nis[rows[begun]] / met.dof
-    return found
-
-
-def _errors(errors: "ReferenceErrors | None", grid_ns: TimeNs) -> Floats:
-    found = np.full((len(grid_ns), len(GROUPS["error"])), np.nan)
-    if errors is None or not len(errors.time_ns):
-        return found
-    rows = _last_before(errors.time_ns, grid_ns)
-    age_ns = grid_ns - errors.time_ns[rows]
-    known = (age_ns >= 0) & (age_ns <= _HELD_NS)
-    position, velocity, attitude = (
-        array[rows[known]]
-        for array in (errors.position_error_ned_m, errors.velocity_error_n, errors.attitude_error_rad)
-    )
-    found[known] = np.column_stack(
-        [
-            np.hypot(position[:, 0], position[:, 1]),
-            position[:, 2],
-            np.hypot(velocity[:, 0], velocity[:, 1]),
-            np.hypot(attitude[:, 0], attitude[:, 1]) / DEG,
-            attitude[:, 2] / DEG,
-        ]
-    )
-    return found
+        values.append(np.column_stack([*states, nis, error]))
+    names, curves = tuple(history.filter for history in replay.histories), {}
+    for quantity, curve in replay.curves.convergence.items():
+        unknown = np.full(len(curve.time_s), np.nan)  # of a solution that was read
+        curves[f"{quantity}_time_s"] = curve.time_s
+        curves[f"{quantity}_rms"] = np.stack([curve.rms.get(name, unknown) for name in names])
+        curves[f"{quantity}_believed"] = np.stack([curve.believed.get(name, unknown) for name in names])
+    return Trajectory(replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, np.stack(values), curves)
 
 
 def _last_before(time_ns: TimeNs, grid_ns: TimeNs) -> NDArray[np.int64]:
@@ -174,3 +133,88 @@ def read_trajectory(path: Path) -> Trajectory | None:
             return Trajectory(str(stored["sha256"]), names, stored["time_s"], stored["values"], curves)
     except (OSError, ValueError, KeyError, EOFError, TypeError, BadZipFile):
         return None
+
+
+# --- Figures for a paper.
+
+_ERRORS: Final = {
+    "position_error_m": "position error [m]",
+    "velocity_error_mps": "velocity error [m/s]",
+    "level_error_deg": "level error [deg]",
+    "heading_error_deg": "heading error [deg]",
+}
+_NIS: Final = {"nis_velocity": "NIS / dof, velocity", "nis_acceleration": "NIS / dof, acceleration"}
+_CONVERGED: Final = {
+    "level": ("level [deg]", DEG),
+    "heading": ("heading [deg]", DEG),
+    "velocity": ("velocity [m/s]", 1.0),
+}
+KINDS: Final = ("error", "track", "sigma", "nis", "coasting", "convergence")
+"""What can be drawn."""
+
+
+def paper_figure(kind: str, trajectory: Trajectory, coasting: Sequence[Row], states: tuple[str, ...]) -> Figure:
+    """Return a figure of a kind: of a trajectory, of the rows of the table ``coasting``, of the sigma of ``states``."""
+    names, panels = trajectory.names, []
+
+    def panel(title: str, x_label: str, curves: Sequence[Sequence[Curve]], **axes: Any) -> None:
+        baseline_last = (*curves[1:], *curves[:1])  # curves that equal it are seen through its dashes
+        panels.append(Panel(title, x_label, tuple(curve for filter_ in baseline_last for curve in filter_), **axes))
+
+    def over_time(columns: Mapping[str, str], **axes: Any) -> None:
+        for column, title in columns.items():
+            series = [trajectory.of(name, column) for name in names]
+            if kind == "sigma" or any(np.isfinite(values).any() for values in series):
+                curves = [[Curve(trajectory.time_s, y, filter_style(number))] for number, y in enumerate(series)]
+                panel(title, "time [s]", curves, **axes)
+
+    match kind:
+        case "error":
+            over_time(_ERRORS)
+        case "nis":
+            over_time(_NIS, y_scale="log", levels=(1.0,))
+        case "sigma":
+            chosen = [state for state in STATES if not states or state.id.startswith(states)]
+            over_time({f"{state.id}_sd": f"{state.label} [{state.unit}]" for state in chosen})
+        case "track":
+            tracks = [(trajectory.of(name, "position_e_m"), trajectory.of(name, "position_n_m")) for name in names]
+            curves = [[Curve(*track, filter_style(number))] for number, track in enumerate(tracks)]
+            panel("north [m]", "east [m]", curves, equal=True)
+        case "coasting" if coasting:
+            curves = []
+            for number, name in enumerate(names):
+                rows = [row for row in coasting if row.get("filter") == name]
+                at_s = np.array([float(str(row["window_s"])) for row in rows])
+                median_m, p95_m = (
+                    np.array([_number(row.get(column)) for row in rows]) for column in ("drift_median_m", "drift_p95_m")
+                )
+                style = filter_style(number)
+                thin = Curve(at_s, p95_m, f"{style} {BELIEVED}")
+                curves.append([Curve(at_s, median_m, style), Curve(at_s, median_m, style, points=True), thin])
+            title, axes = "drift [m], median and 95 %", {"x_scale": "log", "y_scale": "log"}
+            panel(title, "time without DVL [s]", curves, **axes)
+        case "convergence":
+            for quantity, (title, unit) in _CONVERGED.items():
+                if (time_s := trajectory.curves.get(f"{quantity}_time_s")) is not None:
+                    rms, believed = (trajectory.curves[f"{quantity}_{kind}"] / unit for kind in ("rms", "believed"))
+                    styles = [filter_style(number) for number in range(len(names))]
+                    curves = [
+                        [Curve(time_s, rms[i], style), Curve(time_s, believed[i], f"{style} {BELIEVED}")]
+                        for i, style in enumerate(styles)
+                    ]
+                    panel(title, "time [s]", curves, y_scale="log")
+    return Figure("", "", tuple(panels), tuple((filter_style(number), name) for number, name in enumerate(names)))
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+def chosen_states(text: str) -> tuple[str, ...]:
+    """Read names of states, or their beginnings such as ``ba``, with commas between them."""
+    names = tuple(part.strip() for part in text.split(",") if part.strip())
+    beginnings = list(dict.fromkeys(state.id.partition("_")[0] for state in STATES))
+    for name in names:
+        if not any(state.id.startswith(name) for state in STATES):
+            require_known("state", name, [*beginnings, *(state.id for state in STATES)])
+    return names

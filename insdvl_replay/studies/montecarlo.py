@@ -1,37 +1,139 @@
 """The Monte Carlo study: many simulated dives, and whether the filters' uncertainty is as large as their errors."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Final
 
+import msgspec
+import numpy as np
+import pandas as pd
+
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.result import LIMIT, REFERENCE, Curve, DisplayTable, Figure, Panel, Result, filter_style
 from insdvl_replay.core.runtime import parallel_map
-from insdvl_replay.core.states import STATES
+from insdvl_replay.core.states import BA, BG, DV, NINE, PHI, STATES, State
+from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.ensemble import (
     Ensemble,
+    RunErrors,
     Tally,
     ensemble_table,
     montecarlo_table,
     nees_table,
     outage_table,
+    run_errors,
     run_table,
     runs_table,
     verdict_table,
 )
-from insdvl_replay.studies.montecarlo_document import (
-    ensemble_figure,
-    montecarlo_display,
-    montecarlo_sentences,
-    nees_figure,
-    run_display,
-    run_sentences,
-)
-from insdvl_replay.studies.simulated_run import MATCHED, MonteCarloSetup, make_setup, run_seed, simulated_run
-from insdvl_replay.studies.study_report import StudyReport, write_study
+from insdvl_replay.nav.algebra import rotation_from_vector, vector
+from insdvl_replay.nav.dvl import dvl_velocities
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.nav.timeline import NO_GAPS
+from insdvl_replay.preparation.alignment import Alignment, initial_sd
+from insdvl_replay.preparation.filters import dvl_mounting, prepare_sensors, resolve_filters
+from insdvl_replay.preparation.prepared import Prepared
+from insdvl_replay.preparation.run import prepared_timeline, run_one
+from insdvl_replay.show.document import table_of
+from insdvl_replay.sim.dive import add_errors, exact_dive, named
+from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
+MATCHED: Final = "matched"
+"""The grade of an IMU, and of the DVL beside it, that errs exactly as the first filter expects."""
 PICTURES: Final = {"navigation": STATES[:6], "biases": STATES[6:]}
 """What the two pictures of a filter show."""
+SIGMA: Final = f"{filter_style(0)} {filter_style(1)}"
+"""The dashes of the first filter in the blue of the second, as in the paper."""
+SETTLED: Final = 0.02
+"""Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
+FAR_ABOVE: Final = 10.0
+"""A NEES this many times above the interval is drawn on a logarithmic scale, which shows the others, too."""
+Outages = Sequence[tuple[float, float]]
+"""Spans (start_s, end_s) in which no beam finds the bottom."""
+
+
+# --- One run: draw errors of the sensors and of the start, and see how far each filter is off.
+
+
+@dataclass(frozen=True)
+class MonteCarloSetup:
+    """What all runs of a study have in common."""
+
+    exact: Dive  # with perfect sensors; reference and truth have a row at the start and at each ping
+    imu_errors: ImuErrors  # how large the errors are that each run draws
+    dvl_errors: DvlErrors
+    config: Config  # filters and the uncertainty of their start; its biases, scale, span and log are not used
+
+
+def make_setup(
+    scenario: str, config: Config, imu: str, duration_s: float | None = None, outages: Outages = ()
+) -> MonteCarloSetup:
+    """Simulate the exact dive and choose the errors of its sensors."""
+    grades = {name: (errors, DvlErrors()) for name, errors in GRADES.items()}
+    imu_errors, dvl_errors = named("IMU grade", imu, {MATCHED: matched_errors(config), **grades})
+    exact = exact_dive(
+        scenario,
+        duration_s=duration_s,
+        reference_at_pings=True,
+        outages=outages,
+        lever_arm_m=config.dvl.lever_arm_m,
+        mounting_rpy_deg=config.dvl.mounting_rpy_deg,
+    )
+    return MonteCarloSetup(exact, imu_errors, dvl_errors, config)
+
+
+def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
+    """Return sensor errors by the first filter's Q, R and initial uncertainty."""
+    baseline, sd = resolve_filters(config)[0], initial_sd(config.initial)
+    imu_errors = ImuErrors(
+        accel_bias_sd_mps2=sd[BA][0],
+        gyro_bias_sd_radps=sd[BG][0],
+        **msgspec.structs.asdict(baseline.inertial_noise),
+    )
+    noise = baseline.dvl_noise
+    return imu_errors, replace(DvlErrors(0.0, 0.0, 0.0, 0.0), **{noise.key: noise.sd_mps})
+
+
+def run_seed(seed: int, run: int) -> int:
+    """Return the seed of one run, from which it can be repeated without the others."""
+    return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1)[0])
+
+
+def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
+    """Draw the errors of one run and replay it through every filter."""
+    config, dive = setup.config, add_errors(setup.exact, setup.imu_errors, setup.dvl_errors, seed)
+    if dive.reference is None or dive.truth is None:
+        raise ValueError("a simulated dive holds its truth")
+    start_ns, end_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
+    mounting = replace(dvl_mounting(config), scale=1.0)
+    velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
+    filters = resolve_filters(config)
+    alignment = Alignment(start_ns, drawn_start(setup, seed), ())
+    sensors, _ = prepare_sensors(dive.sensors, config, alignment.start, start_ns, end_ns)
+    start = Prepared(velocities, alignment, end_ns, NO_GAPS, mounting, filters, None, sensors, ())
+    timeline = prepared_timeline(dive, start)
+    histories = (run_one(filter_, start, timeline, cov_ns=dive.reference.time_ns) for filter_ in filters)
+    return tuple(run_errors(history, dive.reference, dive.truth) for history in histories)
+
+
+def drawn_start(setup: MonteCarloSetup, seed: int) -> Start:
+    """Start where the exact dive does, off by what the configured initial uncertainty allows.
+
+    Biases are estimated as zero: how large they are is the sensors' part of the draw.
+    """
+    if setup.exact.reference is None:
+        raise ValueError("the filters start from the exact motion")
+    # The sensors of `add_errors` draw from the seed's streams 0 to 2.
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
+    exact, sd = setup.exact.reference, initial_sd(setup.config.initial)
+    turn = np.array(rotation_from_vector(vector(sd[PHI] * rng.standard_normal(3))))
+    velocity_n = exact.velocity_n[0] + sd[DV] * rng.standard_normal(3)
+    return Start(exact.position[0], velocity_n, turn @ exact.mat_nb[0], np.diag(sd**2))
+
+
+# --- The study.
 
 
 def study_montecarlo(
@@ -42,40 +144,14 @@ def study_montecarlo(
     seed: int = 1,
     duration_s: float | None = None,
     imu: str = MATCHED,
-    outages: Sequence[tuple[float, float]] = (),
+    outages: Outages = (),
     jobs: int | None = None,
     after_run: Callable[[], object] = lambda: None,
-) -> tuple[StudyReport, tuple[Ensemble, ...]]:
-    """Simulate a dive many times and hold the filters' uncertainty against their true errors.
+) -> tuple[Result, tuple[Ensemble, ...]]:
+    """Simulate a dive many times and compare the filters' uncertainty with their true errors.
 
-    Parameters
-    ----------
-    scenario : str
-        A name in `trajectories.SCENARIOS`.
-    runs : int
-        At least two.
-    seed : int
-        Of all runs.
-    duration_s : float, optional
-        Left out: the scenario's own.
-    imu : str
-        `MATCHED`, or a name in `sensor_errors.GRADES`.
-    outages : sequence of (start_s, end_s)
-        Spans in which no beam finds the bottom; with any, there is a table ``outages`` of the NEES through them.
-    jobs : int, optional
-        Runs at the same time; left out, one for each core. The result does not depend on it.
-    after_run : callable
-        Called after each run, to show progress.
-
-    Returns
-    -------
-    tuple of Ensemble
-        One for each filter; the first is the baseline.
-
-    Raises
-    ------
-    ConfigError
-        Unknown scenario or grade, or a duration that cannot be.
+    ``imu`` is `MATCHED` or a name in `sensor_errors.GRADES`. The result does not depend on ``jobs``. Also returned are
+    the ensembles, one for each filter, the baseline first. A ConfigError where a name is unknown or a duration wrong.
     """
     setup = make_setup(scenario, config, imu, duration_s, outages)
     seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
@@ -88,43 +164,29 @@ def study_montecarlo(
     tables = {"montecarlo": montecarlo_table(ensembles), "verdicts": verdict_table(ensembles)}
     if outages:
         tables["outages"] = outage_table(ensembles, outages)
-    report = StudyReport(
-        study="montecarlo",
-        title=f"Monte Carlo study: {scenario}, {_length(setup)}, {runs} runs, {_drawn(imu, seed, outages)}",
-        arguments=_arguments(setup, imu, seed, outages) | {"runs": runs},
-        sentences=montecarlo_sentences(tables),
-        tables=tables,
-        display=montecarlo_display(tables),
-        config=config,
-        series={
-            "nees": nees_table(ensembles),
-            "ensemble": ensemble_table(ensembles),
-            "runs": runs_table(seeds, list(tallies.values())),
-        },
-    )
-    return report, ensembles
-
-
-def save_montecarlo(report: StudyReport, ensembles: tuple[Ensemble, ...], folder: Path, *, png: bool = False) -> None:
-    """Write a study's files into an empty folder; the same study gives the same bytes.
-
-    Parameters
-    ----------
-    folder : Path
-        Exists.
-    png : bool
-        Draw the pictures as PNG, too.
-    """
+    nees, (asked, length, drawn) = nees_table(ensembles), _asked(setup, imu, seed, outages)
+    title = f"Monte Carlo study: {scenario}, {length}, {runs} runs, {drawn}"
     pictures = {
         f"{ensemble.filter}_{name}": ensemble_figure(
-            f"{ensemble.filter}: {report.title}",
+            f"{ensemble.filter}: {title}",
             states,
             *(ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean),
         )
         for ensemble in ensembles
         for name, states in PICTURES.items()
     }
-    write_study(report, folder, {"nees": nees_figure(report.title, report.series["nees"]), **pictures}, png=png)
+    result = Result(
+        kind="montecarlo",
+        title=title,
+        sentences=tuple(_sentences(tables)),
+        tables=tables,
+        figures={"nees": nees_figure(title, nees), **pictures},
+        config=config,
+        arguments=asked | {"runs": runs},
+        series={"nees": nees, "ensemble": ensemble_table(ensembles), "runs": runs_table(seeds, list(tallies.values()))},
+        display=tuple(_display(tables)),
+    )
+    return result, ensembles
 
 
 def repeat_run(
@@ -135,49 +197,151 @@ def repeat_run(
     seed: int = 1,
     duration_s: float | None = None,
     imu: str = MATCHED,
-    outages: Sequence[tuple[float, float]] = (),
-) -> StudyReport:
-    """Repeat one run of a study.
-
-    Parameters
-    ----------
-    scenario, config, seed, duration_s, imu, outages
-        As of `study_montecarlo`.
-    run : int
-        Its number, from 1.
-
-    Raises
-    ------
-    ConfigError
-        As of `study_montecarlo`.
-    """
+    outages: Outages = (),
+) -> Result:
+    """Repeat one run of a study, by its number, from 1."""
     setup, own_seed = make_setup(scenario, config, imu, duration_s, outages), run_seed(seed, run)
-    table = run_table(simulated_run(setup, own_seed))
-    return StudyReport(
-        study="montecarlo",
-        title=f"Run {run} of the Monte Carlo study: {scenario}, {_length(setup)}, {_drawn(imu, seed, outages)}",
-        arguments=_arguments(setup, imu, seed, outages) | {"run": run, "run_seed": own_seed},
-        sentences=run_sentences(table),
+    table, (asked, length, drawn) = run_table(simulated_run(setup, own_seed)), _asked(setup, imu, seed, outages)
+    columns = (
+        ("state", "l", "state:label"),
+        ("unit", "l", "unit"),
+        ("error", "r", "error"),
+        ("sigma from P", "r", "sd"),
+        ("error / sigma", "r", "ratio"),
+    )
+    return Result(
+        kind="montecarlo",
+        title=f"Run {run} of the Monte Carlo study: {scenario}, {length}, {drawn}",
+        sentences=tuple(
+            f"{row.filter}: NEES {row.mean_nees:.4g} in the mean over the pings, {row.final_nees:.4g} at the end "
+            f"({len(STATES)} expected)"
+            for row in table.drop_duplicates("filter").itertuples()
+        ),
         tables={"run": table},
-        display=run_display(table),
         config=config,
+        arguments=asked | {"run": run, "run_seed": own_seed},
+        display=tuple(
+            table_of(f"Errors of {name} at the end of the run", rows, columns)
+            for name, rows in table.groupby("filter", sort=False)
+        ),
     )
 
 
-def _length(setup: MonteCarloSetup) -> str:
-    return f"{_duration_s(setup):g} s"
-
-
-def _duration_s(setup: MonteCarloSetup) -> float:
+def _asked(setup: MonteCarloSetup, imu: str, seed: int, outages: Outages) -> tuple[dict[str, Any], str, str]:
+    """Return what was asked, how long the dive is, and what was drawn."""
     time_ns = setup.exact.imu.time_ns
-    return float(time_ns[-1] - time_ns[0]) * 1e-9
-
-
-def _drawn(imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> str:
+    duration_s = float(time_ns[-1] - time_ns[0]) * 1e-9
     spans = ", ".join(f"{start_s:g} to {end_s:g} s" for start_s, end_s in outages)
-    return f"IMU {imu}, seed {seed}{f', no bottom from {spans}' if spans else ''}"
+    asked = {"scenario": setup.exact.name, "duration_s": duration_s, "imu": imu, "seed": seed}
+    drawn = f"IMU {imu}, seed {seed}{f', no bottom from {spans}' if spans else ''}"
+    return asked | {"outages": [list(outage) for outage in outages]}, f"{duration_s:g} s", drawn
 
 
-def _arguments(setup: MonteCarloSetup, imu: str, seed: int, outages: Sequence[tuple[float, float]]) -> dict[str, Any]:
-    asked = {"scenario": setup.exact.name, "duration_s": _duration_s(setup), "imu": imu, "seed": seed}
-    return asked | {"outages": [list(outage) for outage in outages]}
+# --- For people.
+
+
+def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
+    """State of each filter whether its uncertainty is right, and of each candidate whether it is better."""
+    row: Any
+    for row in tables["verdicts"].itertuples():
+        judged = f"{row.filter} is {row.verdict}" + (f" ({row.why} of what is expected)" if row.why else "")
+        if row.verdict == Consistency.TOO_FEW:
+            judged = f"{row.filter}: too few runs to judge it"
+        yield (
+            f"{judged}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "
+            f"{row.low:.4g} to {row.high:.4g}; inside at {row.inside_pct:.0f} % of the pings"
+        )
+    baseline, *candidates = tables["verdicts"]["filter"]
+    nine = tables["montecarlo"][tables["montecarlo"]["state"].isin([state.id for state in NINE])]
+    for name in candidates:
+        means = nine[nine["filter"] == name][["believed_improvement_pct", "true_improvement_pct"]].mean()
+        believed, true = (f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means)
+        yield (
+            f"{name} believes in errors that are {believed} than those of {baseline} in the mean over nine states; "
+            f"they are {true}"
+        )
+
+
+def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
+    """Lay out the errors of each filter, the verdicts, and the NEES through outages."""
+    baseline, *_ = tables["verdicts"]["filter"]
+    columns = [
+        ("state", "l", "state:label"),
+        ("unit", "l", "unit"),
+        ("sigma\nfrom P", "r", "final_sd"),
+        ("ensemble\nsigma", "r", "ensemble_sd"),
+        ("ensemble\nmean", "r", "ensemble_mean"),
+        ("rms /\nsigma", "r", "ratio"),
+    ]
+    gains = [("belief", "r", "believed_improvement_pct:percent"), ("truth", "r", "true_improvement_pct:percent")]
+    for name, rows in tables["montecarlo"].groupby("filter", sort=False):
+        is_baseline = name == baseline
+        against = "" if is_baseline else f"; improvement over {baseline} in belief and truth"
+        title = f"Errors of {name} at the end, as believed and as they are{against}"
+        yield table_of(title, rows, columns if is_baseline else columns + gains)
+    yield table_of(
+        "NEES: mean over runs and pings, and where 95 % of consistent filters would have it",
+        tables["verdicts"],
+        (
+            ("filter", "l", "filter"),
+            ("runs", "r", "runs"),
+            ("NEES", "r", "mean_nees"),
+            ("low", "r", "low"),
+            ("high", "r", "high"),
+            ("inside", "r", "inside_pct:percent"),
+            ("at the end", "r", "final_nees"),
+            ("verdict", "l", "verdict"),
+        ),
+    )
+    if "outages" in tables:
+        yield table_of(
+            f"NEES through outages of the DVL, mean over the runs; {len(STATES)} expected",
+            tables["outages"],
+            (
+                ("filter", "l", "filter"),
+                ("from\n[s]", "r", lambda row: f"{row['start_s']:g}"),
+                ("to\n[s]", "r", lambda row: f"{row['end_s']:g}"),
+                ("before", "r", "nees_before"),
+                ("last in\nit", "r", "nees_last"),
+                ("after\n1.5 s", "r", "nees_soon"),
+                ("after\n60 s", "r", "nees_later"),
+                ("at the\nend", "r", "nees_final"),
+            ),
+        )
+
+
+def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
+    """Draw the mean NEES of each filter over time, from `ensemble.nees_table`, with its interval."""
+    low, high = float(nees["low"][0]), float(nees["high"][0])
+    curves, legend = [], []
+    for number, (name, rows) in enumerate(nees.groupby("filter", sort=False)):
+        curves.append(Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number)))
+        legend.append((filter_style(number), str(name)))
+    far_above = nees["mean_nees"].max() > FAR_ABOVE * high
+    panel = Panel("mean NEES", "time [s]", tuple(curves), (), (low, high), "log" if far_above else "linear")
+    caption = "Between the dashed lines lie 95 % of consistent filters."
+    return Figure(title, caption, (panel,), (*legend, (LIMIT, "95 % interval")))
+
+
+def ensemble_figure(
+    title: str, states: Sequence[State], time_s: Floats, sd: Floats, error_sd: Floats, error_mean: Floats
+) -> Figure:
+    """Draw sigma from P, ensemble sigma and ensemble mean, (k, 12) in SI, over time, one panel for each state."""
+    panels = []
+    settled = time_s >= SETTLED * time_s[-1]
+    for state in states:
+        believed, actual, mean = (column[:, state.index] / state.factor for column in (sd, error_sd, error_mean))
+        lowest, highest = min(0.0, mean[settled].min()), max(believed[settled].max(), actual[settled].max())
+        curves = (
+            Curve(time_s, actual, REFERENCE),
+            Curve(time_s, mean, filter_style(2)),
+            Curve(time_s, believed, SIGMA),
+        )
+        y_limits = (1.1 * lowest - 0.1 * highest, 1.1 * highest)
+        panels.append(Panel(f"{state.label} [{state.unit}]", "time [s]", curves, y_limits=y_limits))
+    return Figure(
+        title,
+        "Where the sigma from P lies on that of the ensemble, the filter is as good as it says.",
+        tuple(panels),
+        ((SIGMA, "sigma from P"), (REFERENCE, "ensemble sigma"), (filter_style(2), "ensemble mean")),
+    )

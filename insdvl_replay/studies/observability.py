@@ -1,10 +1,10 @@
 """The observability study: which errors at the start of a dive its measurements can tell apart, and which not."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 import numpy as np
@@ -13,14 +13,14 @@ import pandas as pd
 from insdvl_replay.core.config import Acceleration, Config, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import label
+from insdvl_replay.core.result import LIMIT, Curve, DisplayTable, Figure, Panel, Result, filter_style
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import DirectionStatus
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.observability import (
     TOLERANCE,
     ErrorDirection,
-    NominalPings,
     Observability,
     analyse,
     name_unobservable,
@@ -32,119 +32,9 @@ from insdvl_replay.nav.observability import (
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one
+from insdvl_replay.show.document import MISSING, number, percent, table_of
 from insdvl_replay.sim.dive import exact_dive
 from insdvl_replay.sim.trajectories import SCENARIOS
-from insdvl_replay.studies.observability_document import (
-    observability_display,
-    observability_sentences,
-    singular_value_figure,
-)
-from insdvl_replay.studies.study_report import StudyReport, write_study
-
-_FACTORS = np.array([state.factor for state in STATES])
-
-
-def observability_tables(
-    found: Mapping[str, Observability],
-    directions: tuple[ErrorDirection, ...],
-    prior_sd: Floats,
-    left_sd: Mapping[str, Floats],
-) -> dict[str, pd.DataFrame]:
-    """Lay out what was found.
-
-    Parameters
-    ----------
-    found : mapping of str to Observability
-        By aiding.
-    directions : tuple of ErrorDirection
-        Those that have a name.
-    prior_sd : ndarray, shape (12,)
-        Standard deviations of the states at the start, SI units.
-    left_sd : mapping of str to ndarray, shape (12,)
-        Those after the last ping, with process noise, by aiding.
-
-    Returns
-    -------
-    dict of str to DataFrame
-        ``ranks``: aiding, rank, states, gap, weak (observable directions whose signal is below the noise), unnamed
-        (unobservable directions without a name).
-        ``directions``: aiding, direction, label, signal_to_noise, status (``unobservable``, ``weak``, ``seen``).
-        ``catalogue``: direction, label, and its 12 errors in display units, the leading one 1.
-        ``singular_values``: aiding, number, singular_value, left_without_noise_pct of the prior, and the direction's 12
-        errors in display units, as large as the prior.
-        ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
-        noise, and left_without_noise_pct, what would be left without of the errors at the start.
-    """
-    named = {aiding: name_unobservable(one, directions, prior_sd) for aiding, one in found.items()}
-    return {
-        "ranks": _ranks(found, named),
-        "directions": _directions(found, named, directions, prior_sd),
-        "catalogue": _catalogue(directions, prior_sd),
-        "singular_values": _singular_values(found, prior_sd),
-        "states": _states(found, prior_sd, left_sd),
-    }
-
-
-def _ranks(found: Mapping[str, Observability], named: Mapping[str, tuple[ErrorDirection, ...]]) -> pd.DataFrame:
-    rows = [
-        (
-            aiding,
-            one.rank,
-            len(STATES),
-            one.gap,
-            int(np.sum(one.singular_values[: one.rank] < 1.0)),
-            len(STATES) - one.rank - len(named[aiding]),
-        )
-        for aiding, one in found.items()
-    ]
-    return pd.DataFrame(rows, columns=["aiding", "rank", "states", "gap", "weak", "unnamed"])
-
-
-def _directions(
-    found: Mapping[str, Observability],
-    named: Mapping[str, tuple[ErrorDirection, ...]],
-    directions: tuple[ErrorDirection, ...],
-    prior_sd: Floats,
-) -> pd.DataFrame:
-    rows = []
-    for aiding, one in found.items():
-        for direction in directions:
-            response = one.response(direction.scaled(prior_sd))
-            status = DirectionStatus.WEAK if response < 1.0 else DirectionStatus.SEEN
-            if direction in named[aiding]:
-                status = DirectionStatus.UNOBSERVABLE
-            rows.append((aiding, direction.id, direction.label, response, status))
-    return pd.DataFrame(rows, columns=["aiding", "direction", "label", "signal_to_noise", "status"])
-
-
-def _catalogue(directions: tuple[ErrorDirection, ...], prior_sd: Floats) -> pd.DataFrame:
-    rows = []
-    for direction in directions:
-        displayed = direction.error / _FACTORS
-        leading = displayed[np.argmax(np.abs(direction.scaled(prior_sd)))]
-        rows.append((direction.id, direction.label, *(displayed / leading)))
-    return pd.DataFrame(rows, columns=["direction", "label", *(state.id for state in STATES)])
-
-
-def _singular_values(found: Mapping[str, Observability], prior_sd: Floats) -> pd.DataFrame:
-    rows = [
-        (aiding, number, value, 100.0 / np.sqrt(1.0 + value**2), *(direction * prior_sd / _FACTORS))
-        for aiding, one in found.items()
-        for number, (value, direction) in enumerate(zip(one.singular_values, one.directions, strict=True), start=1)
-    ]
-    columns = ["aiding", "number", "singular_value", "left_without_noise_pct", *(state.id for state in STATES)]
-    return pd.DataFrame(rows, columns=columns)
-
-
-def _states(found: Mapping[str, Observability], prior_sd: Floats, left_sd: Mapping[str, Floats]) -> pd.DataFrame:
-    tables = []
-    for aiding, one in found.items():
-        rows = pd.DataFrame([(aiding, state.id, state.unit) for state in STATES], columns=["aiding", "state", "unit"])
-        rows["prior_sd"], rows["left_sd"] = prior_sd / _FACTORS, left_sd[aiding] / _FACTORS
-        rows["left_pct"], rows["left_without_noise_pct"] = 100.0 * left_sd[aiding] / prior_sd, 100.0 * one.left()
-        tables.append(rows)
-    return pd.concat(tables, ignore_index=True)
-
 
 AIDING: Final = {
     "velocity": ("velocity",),
@@ -156,38 +46,28 @@ AIDING: Final = {
 """What each row of the study stacks: velocities, accelerations in either model, or both."""
 NO_GATE: Final = 1.0
 """Share of chi-square inside which every innovation lies."""
+_NOTHING: Final = 1e-5
+"""Smaller components of a direction, in shown units next to a leading 1, are left out."""
+_SMALLEST: Final = 1e-12
+"""Singular values are drawn down to this share of the largest; below is rounding."""
+_GROWN_PCT: Final = 101.0
+"""Of the prior, above which a state is said to have grown more uncertain; a bias alone wanders by less."""
 
 
-def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bool = True) -> StudyReport:
+def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bool = True) -> Result:
     """Analyse what velocities and accelerations tell about the errors at the start of a dive.
 
     The motion around which the errors are linearised is that of the first filter: along a scenario, with perfect
-    sensors, it is the exact one. The process noise is that of the first filter, too.
-
-    Parameters
-    ----------
-    dive_or_scenario : str
-        Path of a log, or a name in `trajectories.SCENARIOS`.
-    config : Config
-        Its span cuts the dive; its initial uncertainty and its noise are the units in which errors and signals count.
-    earth_rate : bool
-        False: let the Earth be flat and at rest.
-
-    Returns
-    -------
-    StudyReport
-        Tables ``ranks``, ``directions``, ``singular_values``, ``states`` and ``catalogue``.
-
-    Raises
-    ------
-    LogError
-        The log cannot be used.
-    ConfigError
-        There is no such log or scenario, or the settings do not fit it.
+    sensors, it is the exact one. The process noise is that of the first filter, too. The initial uncertainty and the
+    noise of the settings are the units in which errors and signals count. Without ``earth_rate`` the Earth is flat and
+    at rest. A LogError or ConfigError where the log, the scenario or the settings cannot be used.
     """
     dive, config = _dive(dive_or_scenario, config)
     start = prepare_with_heading(dive, config)
-    nominal, pings = _nominal(dive, start, earth_rate)
+    timeline = prepared_timeline(replace(dive, reference=None), start)
+    baseline = replace(start.filters[0], gate_probability=NO_GATE)
+    nominal = run_one(baseline, start, timeline)
+    pings = nominal_pings(timeline, nominal, baseline.noise_density[: len(STATES)], earth_rate=earth_rate)
     measurements, arm_b = _measurements(start, config), start.mounting.lever_arm_b
     prior_sd = start.alignment.start.sd
     found, left_sd = {}, {}
@@ -196,36 +76,24 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
         found[name] = analyse(np.vstack([whitened_rows(pings, single, arm_b) for single in stack]), prior_sd)
         left_sd[name] = np.sqrt(np.diag(remaining_cov(pings, stack, arm_b, prior_sd)))
     start_of = (nominal.position[0], nominal.velocity_n[0], nominal.mat_nb[0])
-    directions = named_directions(*start_of, earth_rate=earth_rate)
-    tables = observability_tables(found, directions, prior_sd, left_sd)
+    tables = observability_tables(found, named_directions(*start_of, earth_rate=earth_rate), prior_sd, left_sd)
     seconds_s = (start.end_ns - start.alignment.start_ns) * 1e-9
     earth = "" if earth_rate else ", Earth rate left out"
-    return StudyReport(
-        study="observability",
-        title=f"Observability study: {dive.name}, {seconds_s:.1f} s, {len(start.velocities.time_ns)} pings{earth}",
-        arguments={"dive": dive.name, "earth_rate": earth_rate},
-        sentences=observability_sentences(tables, TOLERANCE),
+    title = f"Observability study: {dive.name}, {seconds_s:.1f} s, {len(start.velocities.time_ns)} pings{earth}"
+    return Result(
+        kind="observability",
+        title=title,
+        sentences=(
+            *_sentences(tables),
+            f"Singular values up to {TOLERANCE:.0e} of the largest count as zero.",
+        ),
         tables=tables,
-        display=observability_display(tables),
-        config=config,
+        figures={"singular_values": singular_value_figure(title, tables["singular_values"], TOLERANCE)},
         notes=dive.notes + start.notes,
+        config=config,
+        arguments={"dive": dive.name, "earth_rate": earth_rate},
+        display=tuple(_display(tables)),
     )
-
-
-def save_observability(report: StudyReport, folder: Path, *, png: bool = False) -> None:
-    """Write a study's files into an empty folder; the same study gives the same bytes.
-
-    Parameters
-    ----------
-    report : StudyReport
-        From `study_observability`.
-    folder : Path
-        Exists.
-    png : bool
-        Draw the picture as PNG, too.
-    """
-    figure = singular_value_figure(report.title, report.tables["singular_values"], TOLERANCE)
-    write_study(report, folder, {"singular_values": figure}, png=png)
 
 
 def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
@@ -235,43 +103,176 @@ def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
         return with_reference_at_imu(read_checked_dive(path, config.without_solutions()), config), config
     if dive_or_scenario not in SCENARIOS:
         raise ConfigError(f"{dive_or_scenario}: is neither a log nor a scenario", f"scenarios: {', '.join(SCENARIOS)}")
-    dvl = msgspec.structs.replace(config.dvl, scale=1.0)
-    unbiased = Initial()
-    initial = msgspec.structs.replace(
-        config.initial,
-        source="reference",
-        accel_bias_mg=unbiased.accel_bias_mg,
-        gyro_bias_degph=unbiased.gyro_bias_degph,
-    )
+    change, unbiased = msgspec.structs.replace, Initial()
+    dvl = change(config.dvl, scale=1.0)
+    biases = {"accel_bias_mg": unbiased.accel_bias_mg, "gyro_bias_degph": unbiased.gyro_bias_degph}
     dive = exact_dive(dive_or_scenario, lever_arm_m=dvl.lever_arm_m, mounting_rpy_deg=dvl.mounting_rpy_deg)
-    return dive, msgspec.structs.replace(config, dvl=dvl, initial=initial)
-
-
-def _nominal(dive: Dive, start: Prepared, earth_rate: bool) -> tuple[History, NominalPings]:
-    """Run the first filter for the nominal motion, and let errors grow and its process noise gather around it."""
-    timeline = prepared_timeline(replace(dive, reference=None), start)
-    baseline = replace(start.filters[0], gate_probability=NO_GATE)
-    nominal = run_one(baseline, start, timeline)
-    return nominal, nominal_pings(timeline, nominal, baseline.noise_density[: len(STATES)], earth_rate=earth_rate)
+    return dive, change(config, dvl=dvl, initial=change(config.initial, source="reference", **biases))
 
 
 def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
-    """Prepare each measurement alone."""
-    prepared = {}
-    for name, single in _single_aidings(config).items():
-        resolved = resolve_filter(name, single, config)
-        (prepared[name],) = resolved.measurements(start.velocities, start.mounting, start.gaps)
-    return prepared
-
-
-def _single_aidings(config: Config) -> dict[str, Filter]:
-    """Make a filter of each measurement alone: the first filter's velocities, the first accelerations configured."""
+    """Prepare each measurement alone: the first filter's velocities, the first accelerations configured."""
     baseline = config.filters[config.baseline]
     with_acceleration = (filter_ for filter_ in config.filters.values() if filter_.acceleration is not None)
     owner = next(with_acceleration, baseline)
     acceleration = owner.acceleration or Acceleration()
     change = partial(msgspec.structs.replace, gate_probability=NO_GATE)
-    return {"velocity": change(baseline, aiding=("velocity",))} | {
-        model: change(owner, aiding=("acceleration",), acceleration=msgspec.structs.replace(acceleration, model=model))
-        for model in ("published", "windowed")
+    singles: dict[str, Filter] = {"velocity": change(baseline, aiding=("velocity",))}
+    for model in ("published", "windowed"):
+        modelled = msgspec.structs.replace(acceleration, model=model)
+        singles[model] = change(owner, aiding=("acceleration",), acceleration=modelled)
+    prepared = {}
+    for name, single in singles.items():
+        resolved = resolve_filter(name, single, config)
+        (prepared[name],) = resolved.measurements(start.velocities, start.mounting, start.gaps)
+    return prepared
+
+
+# --- The tables.
+
+
+def observability_tables(
+    found: Mapping[str, Observability],  # by aiding
+    directions: tuple[ErrorDirection, ...],  # those that have a name
+    prior_sd: Floats,  # (12,), of the states at the start, SI units
+    left_sd: Mapping[str, Floats],  # (12,), after the last ping, with process noise, by aiding
+) -> dict[str, pd.DataFrame]:
+    """Return the tables of the study.
+
+    ``ranks``: aiding, rank, states, gap, weak (observable directions whose signal is below the noise), unnamed
+    (unobservable directions without a name).
+    ``directions``: aiding, direction, label, signal_to_noise, status (``unobservable``, ``weak``, ``seen``).
+    ``catalogue``: direction, label, and its 12 errors in shown units, the leading one 1.
+    ``singular_values``: aiding, number, singular_value, left_without_noise_pct of the prior, and the direction's 12
+    errors in shown units, as large as the prior.
+    ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
+    noise, and left_without_noise_pct, what would be left without of the errors at the start.
+    """
+    factors, ids = np.array([state.factor for state in STATES]), [state.id for state in STATES]
+    ranks, seen, values, states = [], [], [], []
+    for aiding, one in found.items():
+        unobservable = name_unobservable(one, directions, prior_sd)
+        weak = int(np.sum(one.singular_values[: one.rank] < 1.0))
+        unnamed = len(STATES) - one.rank - len(unobservable)
+        ranks.append((aiding, one.rank, len(STATES), one.gap, weak, unnamed))
+        for direction in directions:
+            response = one.response(direction.scaled(prior_sd))
+            status = DirectionStatus.WEAK if response < 1.0 else DirectionStatus.SEEN
+            if direction in unobservable:
+                status = DirectionStatus.UNOBSERVABLE
+            seen.append((aiding, direction.id, direction.label, response, status))
+        for count, (value, vector) in enumerate(zip(one.singular_values, one.directions, strict=True), start=1):
+            values.append((aiding, count, value, 100.0 / np.sqrt(1.0 + value**2), *(vector * prior_sd / factors)))
+        columns = {"prior_sd": prior_sd / factors, "left_sd": left_sd[aiding] / factors}
+        columns |= {"left_pct": 100.0 * left_sd[aiding] / prior_sd, "left_without_noise_pct": 100.0 * one.left()}
+        names = {"aiding": aiding, "state": ids, "unit": [state.unit for state in STATES]}
+        states.append(pd.DataFrame({**names, **columns}))
+    catalogue = []
+    for direction in directions:
+        displayed = direction.error / factors
+        leading = displayed[np.argmax(np.abs(direction.scaled(prior_sd)))]
+        catalogue.append((direction.id, direction.label, *(displayed / leading)))
+    return {
+        "ranks": pd.DataFrame(ranks, columns=["aiding", "rank", "states", "gap", "weak", "unnamed"]),
+        "directions": pd.DataFrame(seen, columns=["aiding", "direction", "label", "signal_to_noise", "status"]),
+        "catalogue": pd.DataFrame(catalogue, columns=["direction", "label", *ids]),
+        "singular_values": pd.DataFrame(
+            values, columns=["aiding", "number", "singular_value", "left_without_noise_pct", *ids]
+        ),
+        "states": pd.concat(states, ignore_index=True),
     }
+
+
+# --- For people.
+
+
+def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
+    """State for each aiding its rank, which directions it cannot see, and which states it lets grow uncertain."""
+    directions = tables["directions"]
+    unobservable = directions[directions["status"] == DirectionStatus.UNOBSERVABLE]
+    unseen = unobservable.groupby("aiding")["label"].agg(list)
+    row: Any
+    for row in tables["ranks"].itertuples():
+        rank = f"{row.aiding}: rank {row.rank} of {row.states}"
+        if row.weak:
+            rank += f", {row.weak} of them with a signal below the noise"
+        if row.rank == row.states:
+            yield f"{rank}."
+            continue
+        names = [*unseen.get(row.aiding, []), *([f"{row.unnamed} without a name"] if row.unnamed else [])]
+        gap = f", where the singular values fall by a factor of {row.gap:.0e}" if np.isfinite(row.gap) else ""
+        yield f"{rank}{gap}; unobservable: {', '.join(names)}."
+    for aiding, states in tables["states"].groupby("aiding", sort=False):
+        less = states[states["left_pct"] > _GROWN_PCT]  # which no rank shows
+        named = zip(less["state"], less["left_pct"], strict=True)
+        if grown := "; ".join(f"{label(state)} ({left_pct:.0f} %)" for state, left_pct in named):
+            yield f"{aiding}: with process noise, less certain after the last ping than at the start: {grown}."
+        else:
+            yield f"{aiding}: with process noise, no state is less certain after the last ping than at the start."
+
+
+def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
+    """Lay out the directions, the singular values, and what is left of each state."""
+
+    def components(row: Mapping[str, float]) -> str:
+        shown = [state for state in STATES if abs(row[state.id]) > _NOTHING]
+        return ", ".join(f"{state.id} {number(row[state.id])} {state.unit}" for state in shown)
+
+    yield table_of(
+        "Directions of error that have a name, at the start",
+        tables["catalogue"],
+        (("direction", "l", "direction"), ("what it is", "l", "label"), ("made of", "l", components)),
+    )
+    seen = tables["directions"]
+    signal = seen["signal_to_noise"].map(number).where(seen["status"] != DirectionStatus.UNOBSERVABLE, MISSING)
+    yield _by_aiding(
+        "How the directions are seen: signal to noise of an error as large as the prior",
+        seen.assign(text=signal),
+        "direction",
+        f"{MISSING}: unobservable",
+    )
+    values = tables["singular_values"]
+    yield _by_aiding(
+        "Singular values: signal to noise of twelve directions at right angles",
+        values.assign(text=values["singular_value"].map(number), number=values["number"].astype(str)),
+        "number",
+    )
+    states = tables["states"].assign(state=tables["states"]["state"].map(label))
+    yield _by_aiding(
+        "What is left of the prior standard deviation after the last ping, process noise included",
+        states.assign(text=states["left_pct"].map(percent)),
+        "state",
+        "Over 100 %: grown since the start, by process noise and by other errors",
+    )
+    yield _by_aiding(
+        "What would be left of the errors at the start, were there no process noise",
+        states.assign(text=states["left_without_noise_pct"].map(percent)),
+        "state",
+    )
+
+
+def _by_aiding(title: str, table: pd.DataFrame, key: str, footnote: str = "") -> DisplayTable:
+    """Lay the column ``text`` out with a row for each key and a column for each aiding."""
+    aidings, keys = table["aiding"].unique(), table[key].unique()
+    cells = table.pivot(index=key, columns="aiding", values="text").loc[keys, aidings]
+    header = ("" if key == "number" else key, *(aiding.replace("+ ", "+\n") for aiding in aidings))
+    return DisplayTable(title, header, "l" + "r" * len(aidings), tuple(cells.itertuples(name=None)), footnote)
+
+
+def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) -> Figure:
+    """Draw the singular values of each aiding as shares of its largest, and the tolerance."""
+    curves, legend = [], []
+    for count, (aiding, rows) in enumerate(values.groupby("aiding", sort=False)):
+        largest = rows["singular_value"].max() or 1.0
+        share = np.maximum(rows["singular_value"].to_numpy() / largest, _SMALLEST)
+        curves.append(Curve(rows["number"].to_numpy(np.float64), share, filter_style(count)))
+        legend.append((filter_style(count), str(aiding)))
+    panel = Panel(
+        "singular values, share of the largest",
+        "number of the singular value",
+        tuple(curves),
+        levels=(tolerance,),
+        y_scale="log",
+        x_whole=True,
+    )
+    return Figure(title, "Below the tolerance nothing is seen.", (panel,), (*legend, (LIMIT, "tolerance")))

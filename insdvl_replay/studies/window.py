@@ -1,117 +1,115 @@
-"""The window study: how many past velocities make the best acceleration, by the reference's."""
+"""The window study: how many velocities make the best acceleration, by the reference's."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Acceleration, Config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, seconds
 from insdvl_replay.core.dive_record import dive_name
 from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.result import Curve, DisplayTable, Figure, Panel, Result, filter_style
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.errors import acceleration_at, differentiated_over_s, reference_acceleration, vector_rmse
 from insdvl_replay.geometry.frames import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
-from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.prepared import read_checked_dive, reference_as_configured
 from insdvl_replay.preparation.run import prepare_with_heading
-from insdvl_replay.studies.study_report import StudyReport, write_study
-from insdvl_replay.studies.window_document import window_display, window_figure, window_sentences
+from insdvl_replay.show.document import number, table_of
+from insdvl_replay.show.plot import limits
 
-COMPENSATED: Final = "compensated"
-IGNORED: Final = "ignored"
-NO_ARM: Final = "none"
+COMPENSATED, IGNORED, NO_ARM = "compensated", "ignored", "none"
 """What was done about the lever arm between IMU and DVL; `NO_ARM` where the configuration has none."""
-MIDDLE: Final = "middle"
-END: Final = "end"
-"""Where a slope is held against the reference: at the mean time of its window, or at its last ping, where it serves."""
+_ARM: Final = {
+    COMPENSATED: ("With the lever arm compensated", "arm comp.", "lever arm compensated"),
+    IGNORED: ("With the lever arm ignored", "arm ignored", "lever arm ignored"),
+    NO_ARM: ("Without a lever arm", "no arm", "no lever arm"),
+}
+"""How a sentence begins, a column is headed, and a panel is called."""
+MIDDLE, END = "middle", "end"
+"""Where a slope is compared with the reference: at the mean time of its window, or at its last ping."""
+_STYLES: Final = {MIDDLE: filter_style(1), END: filter_style(0)}
+_ALONE: Final = "zero"
 POOLED: Final = "*"
-"""Stands for the log in rows that pool several."""
+"""In place of the log in rows that pool several."""
 WINDOW_COLUMNS: Final = ["log", "n", "at", "lever_arm", "rmse_mps2", "samples"]
 LEFT_OUT: Final = "log_left_out"
 """Code of the note on a log that cannot be used."""
+Windows = tuple[pd.DataFrame, float, tuple[Note, ...]]
+"""Table of a dive, the seconds over which its reference is differentiated, and notes."""
 
 
-def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1) -> StudyReport:
-    """Hold the accelerations from 2 to ``longest`` velocities against the reference of each log.
+def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1) -> Result:
+    """Compare the accelerations from 2 to ``longest`` velocities with the reference of each log.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Logs, each with a name of its own.
-    config : Config
-        The pause that starts a new window is that of the first filter that uses accelerations.
-    longest : int
-        Largest number of velocities, 2 or more.
-
-    Returns
-    -------
-    StudyReport
-        Table ``window``: log, n, at (``middle``, ``end``), lever_arm (``compensated``, ``ignored``, ``none``),
-        rmse_mps2, samples; with several logs, rows of log ``*`` pool them. Table ``best``: those with the least error.
-        A log that cannot be used is left out, with a note (``log_left_out``).
-
-    Raises
-    ------
-    LogError
-        None of the logs can be used, or has a reference that gives an acceleration.
-    ConfigError
-        Two logs share a name, or the settings do not fit a log.
+    The pause that starts a new window is that of the first filter that uses accelerations. With several logs, rows of
+    log ``*`` pool them. A log that cannot be used is left out, with a note. A LogError where none can be used, a
+    ConfigError where two logs share a name or the settings do not fit a log.
     """
-    _check_names(paths)
-    studied, left_out = _studied(paths, config, longest, jobs)
+    names = [dive_name(path) for path in paths]
+    for place, name in enumerate(names):
+        if (first := names.index(name)) < place:
+            raise ConfigError(f"{paths[first]} and {paths[place]} have the same name", "rename one of them")
+
+    def study(path: Path) -> Windows | LogError:
+        try:
+            return dive_windows(read_checked_dive(path, config.without_solutions()), config, longest)
+        except LogError as error:
+            return error
+
+    found = list(parallel_map(study, paths, jobs))
+    refused = [outcome for outcome in found if isinstance(outcome, LogError)]
+    studied = [outcome for outcome in found if not isinstance(outcome, LogError)]
+    if not studied:
+        raise refused[0]
     tables, spans_s, notes = zip(*studied, strict=True)
     windows = pd.concat(tables, ignore_index=True)
     if len(tables) > 1:
         windows = pd.concat([pooled_windows(windows), windows], ignore_index=True)
     best = best_windows(windows)
-    return StudyReport(
-        study="window",
-        title=f"Window study: {', '.join(map(dive_name, paths))}",
-        arguments={"logs": list(map(dive_name, paths)), "longest": longest},
-        sentences=window_sentences(best, spans_s),
+    return Result(
+        kind="window",
+        title=f"Window study: {', '.join(names)}",
+        sentences=tuple(_sentences(best, spans_s)),
         tables={"window": windows, "best": best},
-        display=window_display(windows, best),
+        figures={"window": window_figure(windows)},
+        notes=(
+            *(note for dive_notes in notes for note in dive_notes),
+            *(Note(LEFT_OUT, f"{error.message}; left out", 1, Severity.WARNING, error.hint) for error in refused),
+        ),
         config=config,
-        notes=(*(note for of_dive in notes for note in of_dive), *left_out),
+        arguments={"logs": names, "longest": longest},
+        display=tuple(_display(windows, best)),
     )
 
 
-def save_window(report: StudyReport, folder: Path, *, png: bool = False) -> None:
-    """Write a study's files into an empty folder; the same study gives the same bytes.
-
-    Parameters
-    ----------
-    report : StudyReport
-        From `study_window`.
-    folder : Path
-        Exists.
-    png : bool
-        Draw the picture as PNG, too.
-    """
-    write_study(report, folder, {"window": window_figure(report.tables["window"])}, png=png)
-
-
-def dive_windows(dive: Dive, config: Config, longest: int) -> tuple[pd.DataFrame, float, tuple[Note, ...]]:
-    """Hold the accelerations from 2 to ``longest`` velocities of one dive against its reference.
+def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
+    """Compare the accelerations from 2 to ``longest`` velocities of one dive with its reference.
 
     All windows are judged at the same pings, those whose longest window is whole, so that no number of velocities has
     an easier dive than another.
     """
-    reference = _reference(dive, config)
+    if dive.reference is None or not (dive.reference.has_velocity and dive.reference.has_attitude):
+        raise LogError(
+            f"{dive.name}: there is no reference with velocity and attitude to hold accelerations against",
+            "name its topic, such as --set reference.topic=/ins/odometry",
+        )
+    reference = reference_as_configured(dive.reference, dive.imu, config)
     start = prepare_with_heading(replace(dive, reference=reference), config)
     velocities = start.velocities
-    max_gap_s = _max_gap_s(config)
+    configured = (filter_.acceleration for filter_ in config.filters.values() if filter_.acceleration is not None)
+    max_gap_s = next(configured, Acceleration()).max_window_gap_s
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
     windows = {n: slope_windows(time_s, n, 1, max_gap_s) for n in range(2, longest + 1)}
     expected_b = _expected(windows, velocities, reference, max_gap_s)
-    judged = windows[longest].complete & ~_across_gaps(start.gaps, velocities, longest)
+    # A window over a long gap of the IMU is left out: there the lever arm's velocity is unknown.
+    first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
+    judged = windows[longest].complete & ~start.gaps.overlap(velocities.time_ns[first], velocities.time_ns)
     judged &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
     if not judged.any():
         raise LogError(
@@ -184,17 +182,11 @@ def _expected(
     }
 
 
-def _across_gaps(gaps: Gaps, velocities: DvlVelocities, longest: int) -> NDArray[np.bool_]:
-    """Find which pings end a window over a long gap of the IMU, in which the lever arm's velocity is unknown."""
-    first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
-    return gaps.overlap(velocities.time_ns[first], velocities.time_ns)
-
-
 def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMounting) -> dict[str, Floats]:
     """Take ``w x l`` out of the DVL's velocities, and leave it in.
 
-    The gyro's rate stands for that against the Earth: the Earth's own moves a lever arm of a metre by 0.07 mm/s, and
-    steadily.
+    The gyro's rate is used in place of that against the Earth: the Earth's own moves a lever arm of a metre by
+    0.07 mm/s, and steadily.
     """
     lever_arm_b = mounting.lever_arm_b
     if not lever_arm_b.any():
@@ -218,3 +210,74 @@ def best_windows(table: pd.DataFrame) -> pd.DataFrame:
     """Find the number of velocities with the least error, for each log, place and lever arm."""
     least = table.groupby(["log", "lever_arm", "at"], sort=False)["rmse_mps2"].idxmin()
     return table.loc[least].reset_index(drop=True)
+
+
+# --- For people.
+
+
+def _sentences(best: pd.DataFrame, differentiated_s: Sequence[float]) -> Iterator[str]:
+    """State which window is best, at its middle and at its end, and how fine the reference is."""
+    for arm, rows in best[best["log"] == best["log"].iloc[0]].groupby("lever_arm", sort=False):
+        middle, end = (rows[rows["at"] == at].iloc[0] for at in (MIDDLE, END))
+        yield (
+            f"{_ARM[str(arm)][0]}, the acceleration is nearest the reference's from {middle['n']} velocities at "
+            f"the middle of their window, {number(middle['rmse_mps2'])} m/s^2 rms, and from {end['n']} at its end, "
+            f"{number(end['rmse_mps2'])} m/s^2 rms."
+        )
+    shortest_s, longest_s = min(differentiated_s), max(differentiated_s)
+    over = f"{shortest_s:.3g} s" if longest_s - shortest_s < 0.01 else f"{shortest_s:.3g} to {longest_s:.3g} s"
+    yield f"The reference's acceleration is a difference of velocities over {over}; what is faster it misses."
+
+
+def _display(windows: pd.DataFrame, best: pd.DataFrame) -> Iterator[DisplayTable]:
+    """Lay out the errors by number of velocities, and the optima of each log."""
+    first = windows[windows["log"] == windows["log"].iloc[0]]
+    cells = first.pivot(index="n", columns=["lever_arm", "at"], values="rmse_mps2").map(number)
+    kinds = list(first[["lever_arm", "at"]].drop_duplicates().itertuples(index=False, name=None))
+    yield DisplayTable(
+        f"Acceleration from n velocities against the reference's, rms [m/s^2], {first['samples'].iloc[0]} pings",
+        ("n", *(f"{at},\n{_ARM[arm][1]}" for arm, at in kinds)),
+        "r" * (1 + len(kinds)),
+        tuple((str(n), *texts) for n, *texts in cells[kinds].itertuples(name=None)),
+    )
+    yield table_of(
+        "The number of velocities with the least error",
+        best,
+        (
+            ("log", "l", "log"),
+            ("at", "l", "at"),
+            ("lever arm", "l", "lever_arm"),
+            ("n", "r", "n"),
+            ("rms [m/s^2]", "r", "rmse_mps2"),
+            ("pings", "r", "samples"),
+        ),
+        "log *: all logs together" if best["log"].iloc[0] == POOLED else "",
+    )
+
+
+def window_figure(windows: pd.DataFrame) -> Figure:
+    """Draw the error at the middle and at the end of windows, one panel for each treatment of the lever arm."""
+    first_log, panels = windows["log"].iloc[0], []
+    for arm, of_arm in windows.groupby("lever_arm", sort=False):
+        curves = []
+        for (log, at), rows in reversed(list(of_arm.groupby(["log", "at"], sort=False))):  # the first log is on top
+            style, n, rmse = _STYLES[str(at)], rows["n"].to_numpy(np.float64), rows["rmse_mps2"].to_numpy()
+            curves.append(Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}"))
+            if log == first_log:
+                least = int(rmse.argmin())
+                curves.append(Curve(n[[least]], rmse[[least]], style, points=True))
+        panels.append(
+            Panel(
+                f"rms error [m/s²], {_ARM[str(arm)][2]}",
+                "number of velocities n",
+                tuple(curves),
+                y_scale="log",
+                y_limits=limits(windows["rmse_mps2"].to_numpy(), "log"),
+                x_whole=True,
+            )
+        )
+    legend = [(style, f"{at} of the window") for at, style in _STYLES.items()]
+    if windows["log"].nunique() > 1:
+        legend.append((_ALONE, "each log alone"))
+    caption = "Dots: the number of velocities with the least error."
+    return Figure("Acceleration errors by the number of velocities", caption, tuple(panels), tuple(legend))

@@ -346,7 +346,7 @@ def place(tmp_path: Path) -> Path:
     write(tmp_path / "other" / "one", content("one"))
     write(tmp_path / "other" / "two", content("two"))
     write(tmp_path / "stranger" / "dive", content(filter="tuned"))
-    write(tmp_path / "study", {"study": "window", "tool": {"version": "0.1.0"}})
+    write(tmp_path / "study", {"kind": "window", "tool": {"version": "0.1.0"}})
     write(tmp_path / "future", {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}})
     write(tmp_path / "list", [])  # type: ignore[arg-type]
     (tmp_path / "empty").mkdir()

@@ -114,7 +114,7 @@ def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path: Path, monkeyp
 def test_studies_and_results_that_are_still_written_are_left_out(tmp_path: Path) -> None:
     for root in ("old", "new"):
         write(tmp_path / root / "dive", content())
-        write(tmp_path / root / "window-dive", {"tool": {"version": "0.1.0"}, "study": "window", "tables": {}})
+        write(tmp_path / root / "window-dive", {"tool": {"version": "0.1.0"}, "kind": "window", "tables": {}})
         write(tmp_path / root / ".dive-k2j3" / "new", content())
     comparison = compare_results(tmp_path / "old", tmp_path / "new")
     assert [dive.log for dive in comparison.dives] == ["dive"]

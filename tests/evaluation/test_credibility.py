@@ -27,7 +27,7 @@ from insdvl_replay.evaluation.credibility import (
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 K = 4000
 SD = np.repeat([0.02, 2e-3, 1e-2, 1e-6], 3)

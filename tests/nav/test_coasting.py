@@ -23,7 +23,7 @@ from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.run import outage_plan, prepared_timeline, run_filters, run_one, run_outages
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
-from insdvl_replay.studies.simulated_run import make_setup, run_seed
+from insdvl_replay.studies.montecarlo import make_setup, run_seed
 
 T, GRAVITY, DVL_HZ = 60.0, 9.795, 1.0
 FROM, TO = 5, 65

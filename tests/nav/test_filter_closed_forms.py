@@ -17,7 +17,7 @@ from insdvl_replay.evaluation.predicted import mean_over_nine
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import exact_dive
-from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
+from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
 T, G = 424.0, 9.795  # s, m/s^2
 LATITUDE, HEADING = 32.8 * DEG, 30.0 * DEG

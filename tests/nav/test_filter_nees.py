@@ -18,7 +18,7 @@ from insdvl_replay.preparation.alignment import initial_sd
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors
-from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
+from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
 RUNS, SEED = 50, 1
 TIMES_S = np.array([10.0, 60.0, 105.0, 150.0])  # settled, at the end of the long leg, in a turn, after two turns

@@ -26,7 +26,7 @@ from insdvl_replay.preparation.prepared import prepare_dive, with_reference_at_i
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
 from insdvl_replay.sim.trajectories import HEADING_DEG, Scenario, Wave, turn
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 MOTIONS = {
     "lying": Scenario("at rest", 20.0, Wave(0.0)),

@@ -15,7 +15,7 @@ from insdvl_replay.nav.dvl import DvlVelocities, dvl_velocities
 from insdvl_replay.preparation.filters import ResolvedFilter, resolve_filter
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 BEAM, VELOCITY = "beam_sd_mps", "velocity_sd_mps"
 

@@ -14,7 +14,7 @@ from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import Scenario, Wave
-from insdvl_replay.studies.simulated_run import make_setup, run_seed, simulated_run
+from insdvl_replay.studies.montecarlo import make_setup, run_seed, simulated_run
 
 
 def pings_ns(*spans_s: tuple[float, float]) -> np.ndarray:

@@ -19,7 +19,7 @@ from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepared_timeline, run_filters, run_from_drawn_starts
 from insdvl_replay.sim.dive import add_errors, exact_dive
-from insdvl_replay.studies.simulated_run import matched_errors
+from insdvl_replay.studies.montecarlo import matched_errors
 
 SNAPIR = Path(__file__).parents[2] / "examples" / "snapir.toml"
 STRAIGHT = "snapir_12"

@@ -16,18 +16,13 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.table import finite
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.document import Callout, DisplayTable, Folded, Heading, Html, Title, parts_for
+from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title, parts_for
 from insdvl_replay.report.page import page
 from insdvl_replay.report.terminal import for_terminal
-from insdvl_replay.results.coverage import Source, covered_shares
-from insdvl_replay.results.dive_document import changed_settings, dive_document
-from insdvl_replay.results.dive_figures import replay_figures
-from insdvl_replay.results.dive_tables import NO_REFERENCE, glance_table
-from insdvl_replay.results.filter_figures import Clock
-from insdvl_replay.results.first_figures import track_panel
 from insdvl_replay.results.json_report import Report, decode_report
 from insdvl_replay.results.result_files import save_replay
-from insdvl_replay.results.shades import shades_of
+from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document, glance_table
+from insdvl_replay.show.figures import Clock, Source, covered_shares, replay_figures, shades_of, track_panel
 from insdvl_replay.sim.dive import simulate_dive
 
 pytestmark = pytest.mark.all_starts
@@ -53,8 +48,7 @@ def pictures(document: Document) -> tuple[list[str], list[str]]:
 def page_tables(report: Report) -> list[DisplayTable]:
     """The tables of a page, those that are folded away too, but for the one that gives all at a glance."""
     parts = list(parts_for("html", dive_document(report)))
-    folded = [table for part in parts if isinstance(part, Folded) for table in part.tables]
-    return [part for part in parts if isinstance(part, DisplayTable)] + folded
+    return [part for part in parts if isinstance(part, DisplayTable) and part.links is None]
 
 
 @pytest.fixture(scope="module")

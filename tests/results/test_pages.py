@@ -1,6 +1,7 @@
 """Pages of several dives and of studies, in the frame of the page of one dive."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -9,10 +10,11 @@ from taken_apart import Document
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.result import Result
 from insdvl_replay.report.document import DisplayTable
-from insdvl_replay.results.overviews import Failure, index_page
-from insdvl_replay.studies.observability_document import singular_value_figure
-from insdvl_replay.studies.study_report import StudyReport, write_study
+from insdvl_replay.show.dives import Failure, index_page
+from insdvl_replay.show.render import save_result
+from insdvl_replay.studies.observability import singular_value_figure
 
 VALUES = pd.DataFrame(
     [(aiding, number, 5.0 / number) for aiding in "abcde" for number in range(1, 13)],
@@ -20,9 +22,9 @@ VALUES = pd.DataFrame(
 )
 
 
-def study() -> StudyReport:
-    return StudyReport(
-        study="observability",
+def study() -> Result:
+    return Result(
+        kind="observability",
         title="Observability study: <straight>",
         arguments={"dive": "straight", "earth_rate": True},
         sentences=("rank 9 of 12", "rank 6 of 12"),
@@ -61,7 +63,7 @@ def test_index_allows_its_own_script_alone() -> None:
 
 def test_page_of_a_study_shows_its_findings_pictures_tables_and_losses(tmp_path: Path) -> None:
     figure = singular_value_figure("Singular values", VALUES, 1e-6)
-    write_study(study(), tmp_path, {"singular_values": figure}, png=True)
+    save_result(replace(study(), figures={"singular_values": figure}), tmp_path, png=True)
     names = {"singular_values.csv", "singular_values.svg", "singular_values.png", "config.toml", "report.json"}
     assert {path.name for path in tmp_path.iterdir()} == names | {"report.html"}
     document = Document((tmp_path / "report.html").read_text("utf-8"))
@@ -77,6 +79,6 @@ def test_study_without_pictures_has_a_page_and_the_same_bytes(tmp_path: Path) ->
     pages = []
     for name in ("once", "again"):
         (tmp_path / name).mkdir()
-        write_study(study(), tmp_path / name)
+        save_result(study(), tmp_path / name)
         pages.append((tmp_path / name / "report.html").read_bytes())
     assert pages[0] == pages[1]

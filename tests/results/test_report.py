@@ -26,13 +26,21 @@ from insdvl_replay.report.latex import as_latex
 from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.report.page import page
 from insdvl_replay.report.terminal import for_terminal
-from insdvl_replay.results.chosen_tables import csv_of
-from insdvl_replay.results.dive_document import closing_lines, dive_document, heading
-from insdvl_replay.results.dive_tables import NO_REFERENCE, glance_table, headline_table, track_fit_line, word_in_table
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.json_report import Tool, decode_report, encode_report
-from insdvl_replay.results.overviews import Failure, summary_csv
 from insdvl_replay.results.result_files import run_log
+from insdvl_replay.show.dive import (
+    NO_REFERENCE,
+    closing_lines,
+    csv_of,
+    dive_document,
+    glance_table,
+    heading,
+    headline_table,
+    track_fit_line,
+    word_in_table,
+)
+from insdvl_replay.show.dives import Failure, summary_csv
 
 HEADERS = {
     "improvement": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",

@@ -9,7 +9,7 @@ from small_results import content, write
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.results.stored_results import read_results
 
-STUDY = {"study": "montecarlo", "tool": {"name": "insdvl-replay"}}
+STUDY = {"kind": "montecarlo", "tool": {"name": "insdvl-replay"}}
 
 
 def names_in(root: Path) -> list[tuple[str, str]]:

@@ -21,8 +21,8 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.states import STATES
 from insdvl_replay.report.latex import as_latex
 from insdvl_replay.results import stored_results
-from insdvl_replay.results.dive_document import dive_document
-from insdvl_replay.results.paper_figures import KINDS
+from insdvl_replay.results.trajectory import KINDS
+from insdvl_replay.show.dive import dive_document
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
@@ -125,6 +125,15 @@ def test_pgf_without_latex_says_so(folder: Path, tmp_path: Path, capsys: pytest.
     assert run_command_line(["figure", str(folder), "error", "--format", "pgf", "-o", str(target)]) == 2
     assert capsys.readouterr().err.startswith("error: --format pgf ")
     assert not target.exists()
+
+
+def test_a_picture_without_matplotlib_says_what_to_install(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert run_command_line(["figure", str(folder), "error", "-o", str(tmp_path / "error.pdf")]) == 2
+    assert "insdvl-replay[figures]" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 # --- Histories.

@@ -39,12 +39,21 @@ from insdvl_replay.evaluation.ensemble import (
 from insdvl_replay.evaluation.errors import motion_error
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import dvl_velocities
-from insdvl_replay.report.plots.png import figure_png
-from insdvl_replay.report.plots.svg import sheet_svg
+from insdvl_replay.show.paper import figure_png
+from insdvl_replay.show.plot import sheet_svg
+from insdvl_replay.show.render import save_result
 from insdvl_replay.sim.dive import START_NS, add_errors, exact_dive
-from insdvl_replay.studies.montecarlo import repeat_run, save_montecarlo, study_montecarlo
-from insdvl_replay.studies.montecarlo_document import BELIEVED, ensemble_figure
-from insdvl_replay.studies.simulated_run import drawn_start, make_setup, matched_errors, run_seed, simulated_run
+from insdvl_replay.studies.montecarlo import (
+    SIGMA,
+    drawn_start,
+    ensemble_figure,
+    make_setup,
+    matched_errors,
+    repeat_run,
+    run_seed,
+    simulated_run,
+    study_montecarlo,
+)
 
 RUNS, DURATION_S = 100, 40.0
 
@@ -241,8 +250,8 @@ def test_any_number_of_jobs_gives_the_same_bytes(tmp_path: Path) -> None:
     for jobs in (1, 2):
         folder = tmp_path / str(jobs)
         folder.mkdir()
-        report, ensembles = study_montecarlo("straight", MATCHED, runs=3, duration_s=10.0, jobs=jobs)
-        save_montecarlo(report, ensembles, folder, png=True)
+        report, _ = study_montecarlo("straight", MATCHED, runs=3, duration_s=10.0, jobs=jobs)
+        save_result(report, folder, png=True)
         contents.append({path.name: path.read_bytes() for path in folder.iterdir()})
     assert contents[0] == contents[1]
     assert set(contents[0]) == {
@@ -341,7 +350,7 @@ def test_picture_is_drawn_in_shown_units_and_to_the_same_bytes() -> None:
     assert panel.title.endswith(", x [mg]")
     curves = {curve.style: curve for curve in panel.curves}
     assert len(curves) == 3, "told without colour"
-    np.testing.assert_allclose(curves[BELIEVED].y, columns[1][:, 6] / MG)
+    np.testing.assert_allclose(curves[SIGMA].y, columns[1][:, 6] / MG)
 
 
 # --- The command.

@@ -16,6 +16,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
+from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
@@ -32,12 +33,13 @@ from insdvl_replay.nav.observability import (
 )
 from insdvl_replay.nav.timeline import Timeline, build_timeline
 from insdvl_replay.replay import replay_dive, replay_log
+from insdvl_replay.show import render
+from insdvl_replay.show.render import save_result
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.sim.trajectories import SCENARIOS, START, Scenario, Segment, Wave
 from insdvl_replay.studies import observability
 from insdvl_replay.studies.observability import study_observability
-from insdvl_replay.studies.study_report import StudyReport
 
 TURN = (Segment(100.0), Segment(20.0, 60.0))
 GRAVITY = float(normal_gravity(START[0], START[2]))
@@ -56,15 +58,15 @@ def _turns() -> Iterator[None]:
         yield
 
 
-def study(scenario: str, *, earth_rate: bool) -> StudyReport:
+def study(scenario: str, *, earth_rate: bool) -> Result:
     return study_observability(scenario, load_config(), earth_rate=earth_rate)
 
 
-def ranks(report: StudyReport) -> dict[str, int]:
+def ranks(report: Result) -> dict[str, int]:
     return dict(zip(report.tables["ranks"]["aiding"], report.tables["ranks"]["rank"], strict=True))
 
 
-def unobservable(report: StudyReport, aiding: str) -> set[str]:
+def unobservable(report: Result, aiding: str) -> set[str]:
     rows = report.tables["directions"]
     return set(rows.loc[(rows["aiding"] == aiding) & (rows["status"] == "unobservable"), "direction"])
 
@@ -335,7 +337,7 @@ def test_without_process_noise_the_end_is_the_start_carried_on() -> None:
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())
 
 
-def left_sd(report: StudyReport, aiding: str) -> Floats:
+def left_sd(report: Result, aiding: str) -> Floats:
     """Standard deviations after the last ping, SI units."""
     rows = report.tables["states"]
     return np.asarray(rows.loc[rows["aiding"] == aiding, "left_sd"]) * [state.factor for state in STATES]
@@ -413,7 +415,7 @@ def test_span_without_a_whole_window_leaves_nothing_to_accelerations(tmp_path: P
     config = load_config(overrides=["span.start_s=10.0", "span.end_s=12.0"])
     report = study_observability("straight", config)
     assert ranks(report)["published"] == ranks(report)["windowed"] == 0
-    observability.save_observability(report, tmp_path)
+    save_result(report, tmp_path)
     assert (tmp_path / "singular_values.svg").stat().st_size > 0
 
 
@@ -421,6 +423,6 @@ def test_interrupted_command_leaves_nothing(tmp_path: Path, monkeypatch: pytest.
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(observability, "write_study", interrupted)
+    monkeypatch.setattr(render, "save_result", interrupted)
     assert run_command_line(["study", "observability", "straight", "-o", str(tmp_path / "study")]) == 130
     assert list(tmp_path.iterdir()) == []

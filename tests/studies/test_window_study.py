@@ -17,6 +17,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration, vector_rmse
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.write import write_dive
+from insdvl_replay.show import render
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
 from insdvl_replay.studies import window
 from insdvl_replay.studies.window import WINDOW_COLUMNS, best_windows, dive_windows, pooled_windows, study_window
@@ -213,7 +214,7 @@ def test_command_writes_the_same_bytes_twice(
     table = pd.read_csv(folders[0] / "window.csv")
     assert list(table.columns) == ["log", "n", "at", "lever_arm", "rmse_mps2", "samples"]
     assert set(table["log"]) == {"*", "lawnmower", "figure-eight"}
-    assert msgspec.json.decode((folders[0] / "report.json").read_bytes())["study"] == "window"
+    assert msgspec.json.decode((folders[0] / "report.json").read_bytes())["kind"] == "window"
 
 
 def test_log_that_cannot_be_used_does_not_stop_the_others(
@@ -248,7 +249,7 @@ def test_interrupted_command_leaves_nothing(
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(window, "write_study", interrupted)
+    monkeypatch.setattr(render, "save_result", interrupted)
     assert run_command_line(["study", "window", simulated[0], "-o", str(tmp_path / "study")]) == 130
     assert list(tmp_path.iterdir()) == []
 

@@ -14,12 +14,10 @@ from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.evaluation.over_dives import pooled_candidate, pooled_sentence
 from insdvl_replay.evaluation.series import dives_ratio, what_settles
 from insdvl_replay.report.markdown import as_markdown
-from insdvl_replay.results.dive_document import dive_document
-from insdvl_replay.results.dive_screen import dive_screen
-from insdvl_replay.results.dive_tables import track_fit_line
 from insdvl_replay.results.folder import result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
+from insdvl_replay.show.dive import dive_document, dive_screen, track_fit_line
 
 COMPARED = (
     ["old", "worse", "--fail-on", "worse"],
@@ -67,7 +65,7 @@ def of_comparisons(folder: Path) -> Cases:
         "lost": content(rmse=None),
         "overconfident": content(verdict="over-confident"),
         "stranger": content(filter="tuned"),
-        "study": {"study": "window", "tool": {"version": "0.1.0"}},
+        "study": {"kind": "window", "tool": {"version": "0.1.0"}},
         "future": {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}},
         "form": content() | {"tables": 3},
         "list": [],

@@ -8,7 +8,7 @@ import insdvl_replay
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import LostBeam
-from insdvl_replay.studies.simulated_run import make_setup
+from insdvl_replay.studies.montecarlo import make_setup
 
 RUN = '[filters.a]\naiding = ["velocity"]\n[filters.b]\n'
 """Settings with a baseline, before the keys of another filter."""

@@ -1,0 +1,657 @@
+"""What people see of one dive: its screen on a terminal, its tables in every format, its page."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from typing import Any, Final, Protocol, TypeVar
+
+import msgspec
+from msgspec import Struct
+from msgspec.structs import astuple, replace
+
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import require_known, visible
+from insdvl_replay.core.quantities import (
+    DECIDING,
+    DECIDING_TOGETHER,
+    HONESTY,
+    WITHHELD_QUANTITIES,
+    is_beam,
+    is_whole,
+    label,
+)
+from insdvl_replay.core.result import (
+    PAGE,
+    PRINTED,
+    PRINTED_LONG,
+    Callout,
+    Code,
+    DisplayTable,
+    Figure,
+    Heading,
+    Html,
+    Only,
+    Panel,
+    Part,
+    Report,
+    Sentences,
+    Title,
+    as_json,
+    flattened,
+)
+from insdvl_replay.core.tables import (
+    TABLES,
+    Candidate,
+    CoastingRow,
+    ConsistencyRow,
+    ConvergenceRow,
+    CredibilityRow,
+    DriftRow,
+    EvidenceRow,
+    ImprovementRow,
+    JumpRow,
+    Number,
+    ReferenceErrorRow,
+    TrackFitRow,
+    finite,
+)
+from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
+from insdvl_replay.evaluation.consistency import is_noise_far_off
+from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
+from insdvl_replay.show.document import (
+    MISSING,
+    TENFOLD,
+    blocks_csv,
+    counted,
+    decimal,
+    losses,
+    number,
+    percent,
+    rows_csv,
+    shown,
+    significant,
+    table_of,
+)
+
+NO_REFERENCE: Final = (
+    "There is no reference: how far the filters are off, how fast they really converge, whether their errors are as "
+    "large as they say, and whether they gain what they believe cannot be told."
+)
+SPECIFIED: Final = (
+    "Of distance: the final horizontal error. CEP50 and CEP95: half and 95 % of the horizontal errors of this run are "
+    "smaller. Without DVL: median drift over the windows of the outage test, by the withheld velocities."
+)
+"""What the numbers of the headline are."""
+MEANS: Final = (
+    "measured: how much smaller the error is by the first piece of evidence; believed: mean over nine states, by the "
+    "filter's own covariance"
+)
+"""What is in the columns of candidates."""
+TONES: Final[dict[str, str]] = {
+    Judgement.BETTER: "good",
+    Judgement.MIXED: "bad",
+    Judgement.WORSE: "bad",
+    Judgement.NOT_JUDGED: "bad",
+}
+"""The colours of the words on a candidate."""
+LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_JUDGED)
+"""Words that are written in capitals."""
+
+
+class _FilterRow(Protocol):
+    @property
+    def filter(self) -> str: ...
+
+
+Row = TypeVar("Row", bound=_FilterRow)
+
+
+def _of(name: str, rows: Iterable[Row]) -> list[Row]:
+    return [row for row in rows if row.filter == name]
+
+
+def has_reference(report: Report) -> bool:
+    """Return whether the dive has a reference to compare with; early reports lack one of the tables that say so."""
+    found = [row.verdict for row in report.tables.credibility] + [row.status for row in report.tables.reference_error]
+    return any(word != ReferenceStatus.NO_REFERENCE for word in found)
+
+
+def shouted(judgement: str) -> str:
+    """Write a judgement that nobody may overlook in capitals."""
+    return judgement.upper() if judgement in LOUD else judgement
+
+
+def ratio_text(value: Number) -> str:
+    """Write a ratio with two decimals, a large one with three digits."""
+    return decimal(value, 2) if abs(finite(value)) < TENFOLD else significant(value, 3)
+
+
+def interval_text(low: Number, high: Number) -> str:
+    """Write the interval of a ratio."""
+    return MISSING if low is None or high is None else f"{ratio_text(low)} .. {ratio_text(high)}"
+
+
+def word_in_table(row: EvidenceRow) -> str:
+    """Return the word on a piece of evidence, in brackets where it has no vote."""
+    return row.word if row.quantity in DECIDING or not row.word else f"({row.word})"
+
+
+# --- Tables.
+
+
+def headline_table(report: Report, title: str = "", footnote: str = "") -> Iterator[DisplayTable]:
+    """Lay out what INS/DVL systems are specified by, a line for each filter: this run's own errors, where known."""
+    position = {row.filter: row for row in report.tables.drift if row.quantity == "position_h"}
+    outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.coasting if row.windows}
+    tested = {window_s for window_s, _ in outages}
+    windows_s = [window_s for window_s in ("60", "120") if window_s in tested] or sorted(tested)[:1]
+    header = ["this run", *(("of distance", "CEP50", "CEP95", "end") if position else ())]
+    header += [f"{window_s} s{'' if i else ' without DVL'}" for i, window_s in enumerate(windows_s)]
+
+    def metres(value: Number) -> str:
+        return MISSING if value is None else f"{value:.3g} m" if value < 1000.0 else f"{value:.0f} m"
+
+    rows = []
+    for name in (report.baseline, *report.filters):
+        row, errors = position.get(name), [MISSING] * 4
+        if row is not None:
+            pct, distance_m = row.final_of_distance_pct, row.distance_m
+            of_distance = MISSING if pct is None else f"{pct:.2f} % of {distance_m:.0f} m"
+            errors = [of_distance, *map(metres, (row.p50, row.p95, row.final))]
+        rows.append((name, *(errors if position else ()), *(metres(outages.get((at, name))) for at in windows_s)))
+    if len(header) > 1:
+        spare = tuple(range(len(header) - 1, 1, -1))
+        yield DisplayTable(title, tuple(header), f"l{'r' * (len(header) - 1)}", tuple(rows), footnote, spare=spare)
+
+
+def track_fit_line(report: Report) -> Iterator[str]:
+    """State in a line what would align the baseline's track with the reference's, where that is known."""
+    texts = []
+    for row in _of(report.baseline, report.tables.track_fit):
+        # With two to four digits: to the first digit of the standard error at least.
+        digits = next((n for n in range(2, 5) if finite(row.fitted_sd) >= 10.0**-n), 2)
+        sd = "" if row.fitted_sd is None else f" \N{PLUS-MINUS SIGN} {row.fitted_sd:.{digits}f}"
+        texts.append(f"{row.quantity} {finite(row.fitted):+.{digits}f}{sd} {row.unit}")
+    if texts:
+        yield f"track fit: {', '.join(texts)}"
+
+
+def glance_table(report: Report) -> DisplayTable:
+    """Lay out each candidate's verdicts and its measured and predicted improvement, as far as known."""
+    known, rows = has_reference(report), []
+    for name, candidate in report.filters.items():
+        *gains, belief = gain_cells(report, name)
+        trust = (belief, candidate.consistency, candidate.credibility or MISSING)
+        rows.append((name, *gains, *(trust if known else trust[1:2])))
+    header = ("filter", "judgement", "measured", "believed", *(("belief",) if known else ()), "innovations")
+    words = "innovations and errors" if known else "innovations"
+    return DisplayTable(
+        "At a glance",
+        (*header, *(("errors",) if known else ())),
+        "llrrlll"[: 7 if known else 5],
+        tuple(rows),
+        f"{MEANS}; {words}: whether they are as large as the filter says",
+    )
+
+
+def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
+    """Write what a candidate gains: the judgement, measured and predicted improvement, and whether it is confirmed."""
+    candidate = report.filters[name]
+    if candidate.improvement == Judgement.NOT_JUDGED:
+        return Judgement.NOT_JUDGED, MISSING, MISSING, MISSING
+    first = next((row for row in report.tables.evidence if row.filter == name and row.evidence != HONESTY), None)
+    measured = MISSING if first is None or first.ratio is None else percent(100.0 * (1.0 - first.ratio))
+    return candidate.improvement, measured, percent(candidate.mean_improvement_pct), candidate.belief or MISSING
+
+
+def evidence_tables(report: Report) -> Iterator[DisplayTable]:
+    """Lay out what was measured of each candidate, and the drift of all filters without DVL, where there are rows."""
+    for name in report.filters:
+        evidence = _of(name, report.tables.evidence)
+        rows = [row for row in evidence if row.baseline is not None or row.value is not None]
+        if rows:
+            with_votes = [replace(row, word=word_in_table(row)) for row in rows]
+            # Early reports know of no solutions that were read.
+            is_read = bool(report.config.get("filters", {}).get(name, {}).get("solution"))
+            footnote = _how_measured(max(row.starts for row in rows), is_read=is_read)
+            yield shown(EvidenceRow, with_votes, footnote=footnote, filter=name, baseline=report.baseline)
+    if report.tables.coasting:
+        yield shown(CoastingRow, report.tables.coasting)
+
+
+def _how_measured(starts: int, *, is_read: bool) -> str:
+    if is_read:
+        begun = (
+            f"the one start that it had against {starts} of the baseline, whose scatter low and high allow for"
+            if starts > 1
+            else "the one start that it had against that of the baseline, which is without error (--starts 16)"
+        )
+        return (
+            f"{begun}; n: independent values that the interval rests on; of NEES the ratio is of how far it is from 1"
+        )
+    drawn = (
+        f"values: of this dive from its own start; ratio of accuracy: from {starts} starts, drawn from what filters say"
+        if starts > 1
+        else "from one start, without error: what aiding gains from errors of the start is not seen (--starts 16)"
+    )
+    return (
+        f"{drawn}; low to high: 95 % interval on this dive, other dives may differ by more; p below 0.01 decides, rows "
+        "in brackets have no vote; n: independent values that the interval rests on; the ratio of NIS and of NEES is "
+        "of how far they are from 1"
+    )
+
+
+def filter_tables(report: Report) -> Iterator[DisplayTable]:
+    """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
+    tables = report.tables
+    for name in report.filters:
+        names = {"filter": name, "baseline": report.baseline}
+        if improvement := _of(name, tables.improvement):
+            yield shown(ImprovementRow, improvement, **names)
+        if convergence := _of(name, tables.convergence):
+            footnote = (
+                f"{report.baseline} ends at {number(convergence[0].baseline_s)} s. nearest: when the sigma of {name} "
+                "is nearest to the target, the time of Levy and Klein. It may turn back there."
+            )
+            yield shown(ConvergenceRow, convergence, footnote=footnote, **names)
+        errors = _of(name, tables.reference_error)
+        if compared := [row for row in errors if row.samples]:
+            missing = _grouped((row.status, label(row.quantity)) for row in errors)
+            missing.pop(ReferenceStatus.COMPARED, None)
+            reasons = [
+                status if len(found) == len(errors) else f"{status}: {', '.join(found)}"
+                for status, found in missing.items()
+            ]
+            yield shown(ReferenceErrorRow, compared, footnote="; ".join(reasons), **names)
+    if consistency := [row for row in tables.consistency if is_whole(row.measurement)]:
+        footnote = _in_spite((row.why, f"{row.filter} {row.measurement}") for row in consistency)
+        yield shown(ConsistencyRow, consistency, footnote=footnote)
+    if innovations := [row for row in tables.consistency if row.whiteness]:
+        yield table_of(
+            "Innovations by axis: size, and likeness of each to the one before",
+            innovations,
+            (
+                ("filter", "l", "filter"),
+                ("measurement", "l", "measurement:words"),
+                (
+                    "NIS / dof",
+                    "r",
+                    lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof),
+                ),
+                ("verdict", "l", "verdict"),
+                ("likeness", "r", "autocorrelation:2"),
+                ("limit", "r", "autocorrelation_limit:2"),
+                ("whiteness", "l", "whiteness"),
+            ),
+        )
+    for name in (report.baseline, *report.filters):
+        if nees := [row for row in _of(name, tables.credibility) if row.samples]:
+            footnote = (
+                f"Expected: NEES 1, of a group 3, all together {nees[-1].dof}; 68.3 % and 99.7 %. The reference is "
+                "taken as exact. indep.: samples that do not repeat each other. "
+            )
+            footnote += _in_spite((row.why, label(row.quantity)) for row in nees)
+            yield shown(CredibilityRow, nees, footnote=footnote, filter=name)
+
+
+def _grouped(named: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    groups: dict[str, list[str]] = {}
+    for reason, name in named:
+        groups.setdefault(reason, []).append(name)
+    return groups
+
+
+def _in_spite(named: Iterable[tuple[str, str]]) -> str:
+    """State why verdicts are not what the interval beside them says."""
+    reasons = _grouped(named)
+    reasons.pop("", None)
+    texts = "; ".join(f"{why}: {', '.join(found)}" for why, found in reasons.items())
+    return f"In spite of the interval, {texts}." if texts else ""
+
+
+def reference_tables(report: Report) -> Iterator[DisplayTable]:
+    """Lay out how far each filter is from the reference, nothing without one; and how often positions jump."""
+    tables, quantities = report.tables, list(dict.fromkeys(row.quantity for row in report.tables.drift))
+    if drift := sorted(tables.drift, key=lambda row: quantities.index(row.quantity)):
+        yield shown(DriftRow, drift)
+    if tables.track_fit:
+        yield shown(TrackFitRow, tables.track_fit)
+    if tables.jumps:
+        yield shown(JumpRow, tables.jumps)
+
+
+# --- The tables that `--table` names: for people, as CSV, as JSON.
+
+
+def require_tables(names: Sequence[str]) -> None:
+    """Raise a ConfigError, with the nearest name, if a table is not known."""
+    for name in names:
+        require_known("table", name, [layout.name for layout in TABLES], most=len(TABLES))
+
+
+def csv_of(reports: Sequence[Report], names: Sequence[str] = ()) -> str:
+    """Write the rows of all dives as CSV: of one table alone as they are, of several a block a table."""
+    blocks = {
+        layout.name: (tuple(layout.columns), [astuple(row) for report in reports for row in _rows(report, layout.name)])
+        for layout in TABLES
+        if layout.name in names or not names
+    }
+    return rows_csv(*blocks[names[0]]) if len(names) == 1 else blocks_csv("table", blocks)
+
+
+def json_of(reports: Sequence[Report], names: Sequence[str]) -> bytes:
+    """Write the rows of all dives as JSON, by the names of their tables."""
+    return as_json({name: [row for report in reports for row in _rows(report, name)] for name in names})
+
+
+def _rows(report: Report, name: str) -> Sequence[Struct]:
+    rows: Sequence[Struct] = getattr(report.tables, name)
+    return rows
+
+
+def tables_named(report: Report, name: str) -> Iterator[DisplayTable]:
+    """Yield what people are shown of a table; its title begins with its name."""
+    begins = ("Consistency", "Innovations") if name == "consistency" else (name.replace("_", " ").capitalize(),)
+    for table in (*evidence_tables(report), *filter_tables(report), *reference_tables(report)):
+        if table.title.startswith(begins):
+            yield table
+
+
+# --- The document, and the page.
+
+MEANING: Final = "Shaded behind panels over time: the vehicle turns (grey), or the DVL has no velocity (ochre)."
+
+
+def dive_document(
+    report: Report, first: Sequence[Part] = (), figures: Sequence[Part] = (), last: Sequence[Part] = ()
+) -> list[Part]:
+    """Lay out a report: what was measured, then what the filters say of themselves.
+
+    ``first`` is between the verdict and the evidence, ``figures`` after the evidence, ``last`` after all tables.
+    """
+    evidence, tables = list(evidence_tables(report)), list(filter_tables(report))
+    references = list(reference_tables(report))
+    by_candidate = [table for table in evidence if table.title.startswith("Evidence")]
+    others = [*evidence[len(by_candidate) :], *references, *tables]
+    glance = [dataclasses.replace(glance_table(report), links=())] if report.filters else []
+    return [
+        Only(PRINTED, (Title(heading(report)),)),
+        Only(PAGE, (Title(_replayed(report)),)),
+        *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
+        *headline_table(report, "This run: position error and drift without DVL", SPECIFIED),
+        *first,
+        Only(PAGE, tuple(by_candidate)),
+        *track_fit_line(report),
+        *([] if has_reference(report) else [NO_REFERENCE]),
+        Only(PRINTED, tuple(evidence)),
+        Only(PRINTED_LONG, tuple(references)),
+        *figures,
+        Heading("Tables"),
+        Only(PAGE, (*glance, *(dataclasses.replace(table, folded=True) for table in others))),
+        Only(PRINTED, (*tables, Sentences(closing_lines(report)))),
+        *last,
+    ]
+
+
+def heading(report: Report) -> str:
+    """State in one line what was replayed, and what has become of each predicted improvement."""
+    texts = [_replayed(report)]
+    for name, candidate in report.filters.items():
+        loud = candidate.improvement in (Judgement.WORSE, Judgement.NOT_JUDGED)
+        word = candidate.improvement.upper() if loud else candidate.improvement
+        if candidate.improvement != Judgement.NOT_JUDGED:
+            belief = f", {candidate.belief}" if candidate.belief != Belief.UNDECIDED else ""
+            word = f"{word}; {percent(candidate.mean_improvement_pct)} believed{belief}"
+        texts.append(f"{name}: {word}")
+    return "; ".join(texts)
+
+
+def _replayed(report: Report) -> str:
+    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
+    return f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
+
+
+def closing_lines(report: Report) -> tuple[str, ...]:
+    """State for each candidate what its mean improvement is, and whose opinion that is."""
+    trust = "reference error and consistency" if has_reference(report) else "coasting and consistency"
+    return tuple(
+        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
+        f"own covariance; see {trust}), "
+        f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner "
+        f"({percent(means.mean_convergence_unchanged_pct)} without any change; by the nearest approach "
+        f"{percent(means.mean_nearest_approach_improvement_pct)})"
+        for name, means in report.filters.items()
+        if means.improvement != Judgement.NOT_JUDGED
+    )
+
+
+def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
+    """Return the page of a replay; the same replay gives the same bytes."""
+    from insdvl_replay.show.page import captioned, facts, page, pictures, settings_details
+
+    caption = "Lines are the middle of the runs from all starts, shaded where the runs lie. " if len(first) > 1 else ""
+    sensors = captioned(
+        "What they had to go on: sensors and gaps",
+        "A strip is as high as the share of the time that valid samples cover; where it falls, something is missing.",
+        strips,
+    )
+    log = report.log
+    origin = {
+        "log": log.name,
+        "SHA-256 of the log": log.sha256 or "none",
+        "span on the log's clock": f"{log.start_ns} to {log.end_ns} ns",
+        "tool": f"{report.tool.name} {report.tool.version}",
+        "with": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
+    }
+    channels = table_of(
+        "Channels of the log",
+        log.channels,
+        (
+            ("topic", "l", "topic"),
+            ("type", "l", "type_name"),
+            ("encoding", "l", "encoding"),
+            ("role", "l", lambda channel: channel.role or "not used"),
+            ("messages", "r", "messages"),
+        ),
+    )
+    return page(
+        dive_document(
+            report,
+            [pictures((*first, *_bars(report)), f"{caption}A click on a picture shows it alone. {MEANING}")],
+            [Heading("Figures"), *figures, Html(sensors)],
+            [
+                Heading("What was lost or assumed"),
+                losses(report.notes),
+                Heading("Provenance"),
+                facts(origin),
+                channels,
+                Code(changed_settings(report.config), "toml"),
+                settings_details(settings),
+            ],
+        )
+    )
+
+
+def changed_settings(config: Mapping[str, Any]) -> str:
+    """Write the settings that are not the defaults, a line each."""
+    usual = dict(flattened(msgspec.to_builtins(Config())))
+    lines = [f"{key} = {json.dumps(value)}" for key, value in flattened(config) if usual.get(key, ...) != value]
+    return "\n".join(["# what differs from the defaults", *lines] if lines else ["# the defaults"])
+
+
+_MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
+"""States whose errors are a piece of evidence, and which."""
+_MOST_GAINS: Final = 2
+_FULL_PCT: Final = 100.0
+"""Longer bars end at the edge; the number beside them says it all."""
+
+
+def _bars(report: Report) -> Iterator[str]:
+    """Draw the predicted improvement of each candidate next to the measured one, where both are known."""
+    gains = {name: list(_gains(report, name)) for name in report.filters}
+    known = {name: found for name, found in gains.items() if found}
+    rows = ""
+    for name, found in known.items():
+        rows += f'<tr><th scope="rowgroup" colspan="4"><b>{escape(visible(name))}</b></th></tr>'
+        # Next to several candidates there is room for the mean, and for one of the states that have a measured error.
+        for title, believed_pct, measured_pct in found[: _MOST_GAINS if len(known) > 1 else None]:
+            bars = ""
+            for style, value_pct, top in (("believed", believed_pct, 1), ("measured", measured_pct, 9)):
+                if value_pct is not None:
+                    end = max(-_FULL_PCT, min(_FULL_PCT, value_pct))
+                    place = f'x="{min(0.0, end):.1f}" y="{top}" width="{abs(end):.1f}" height="6"'
+                    bars += f'<rect class="{style}" {place}/>'
+            rows += (
+                f'<tr><th scope="row">{escape(title)}</th><td class="r">{percent(believed_pct)}</td>'
+                f'<td class="r">{percent(measured_pct)}</td><td class="axis"><svg viewBox="-100 0 200 16" '
+                f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
+            )
+    if known:
+        yield (
+            '<section><h3>smaller errors, <b>believed</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
+            '<tr><th>quantity</th><th class="r">believed</th><th class="r">measured</th><th class="axis">'
+            "<span>&minus;100&nbsp;%</span><span>0</span><span>100&nbsp;%</span></th></tr></thead>"
+            f"<tbody>{rows}</tbody></table></section>"
+        )
+
+
+def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
+    """Yield label, predicted and measured improvement in percent, of what has both: first the mean."""
+    if report.filters[name].improvement == Judgement.NOT_JUDGED:
+        return
+    measured = {
+        row.quantity: 100.0 * (1.0 - row.ratio)
+        for row in report.tables.evidence
+        if row.filter == name and row.evidence in ("accuracy", "coasting") and row.ratio is not None
+    }
+    believed_pct = report.filters[name].mean_improvement_pct
+    for quantity, measured_pct in list(measured.items())[:1] if believed_pct is not None else ():
+        yield f"mean / {label(quantity)}", believed_pct, measured_pct
+    for row in _of(name, report.tables.improvement):
+        quantity = _MEASURED_BY.get(row.state, "")
+        if quantity in measured:
+            axis = label(row.state).partition(", ")[2]
+            yield quantity if quantity == "heading" else f"{quantity}, {axis}", row.improvement_pct, measured[quantity]
+
+
+# --- The screen: one dive, of up to two candidates, fits 24 lines of 80 columns; of more candidates each has a row.
+
+MOST_ROWS: Final = {1: 7, 2: 1}
+"""Pieces of evidence that are shown of each candidate, by how many there are."""
+_CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
+"""Pieces that are shown next to the first of each kind, and those that decided."""
+
+
+def dive_screen(report: Report, page: str) -> list[Part]:
+    """Lay out the screen of one dive, whose page is at ``page``."""
+    few = len(report.filters) in MOST_ROWS
+    words = [part for name in report.filters for part in _candidate_parts(report, name)] if few else _many(report)
+    notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
+    return [
+        Title(_facts(report)),
+        *headline_table(report),
+        *words,
+        *track_fit_line(report),
+        *(() if has_reference(report) else (NO_REFERENCE,)),
+        Code(f"all tables{notes}: -v   page: {page}", ""),
+    ]
+
+
+def _facts(report: Report) -> str:
+    """State in one line what was replayed."""
+    tables, duration_s = report.tables, report.log.duration_s
+    starts = max((row.starts for row in tables.evidence), default=0)
+    # The first filter that takes velocities, or beams where none does.
+    rows = [row for row in tables.consistency if row.measurement == "velocity"][:1]
+    kind = "velocities" if rows else "beams"
+    if not rows:
+        beams = [row for row in tables.consistency if is_beam(row.measurement)]
+        rows = [row for row in beams if row.filter == beams[0].filter]
+    rejected = sum(row.rejected for row in rows)
+    met = f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected" if rows else "no velocities"
+    # A solution that was read may cover a part of the dive, or nothing: of the baseline all is compared.
+    baseline = [row.samples for row in _of(report.baseline, tables.drift)]
+    compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
+    known = has_reference(report)
+    reference = f"reference {compared / duration_s:.2g} Hz" if known else "no reference"
+    drawn = [counted(starts, "start")] if starts and known else []
+    return f"{report.log.name}: {', '.join([f'{duration_s:.0f} s', met, reference, *drawn])}"
+
+
+def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
+    candidate, baseline = report.filters[name], report.baseline
+    judgement = candidate.improvement
+    word = Callout(f"{name} against {baseline}: {shouted(judgement)}", TONES.get(judgement, ""))
+    if judgement == Judgement.NOT_JUDGED:
+        yield Sentences((word, candidate.verdict))
+        return
+    yield Sentences((word, _believed(candidate)))
+    evidence = _of(name, report.tables.evidence)
+    if rows := _chosen([row for row in evidence if row.evidence != HONESTY], MOST_ROWS[len(report.filters)]):
+        columns = (
+            ("evidence", "l", "quantity:label"),
+            ("", "l", "unit"),
+            (baseline, "r", "baseline:value"),
+            (name, "r", "value:value"),
+            ("ratio", "r", lambda row: ratio_text(row.ratio)),
+            ("on this dive", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
+            ("n", "r", "effective_samples:0"),
+            ("p", "r", lambda row: decimal(row.p, 3).removeprefix("0")),
+            ("", "l", word_in_table),
+        )
+        yield table_of("", rows, columns, spare=(6, 2, 3, 1, 5, 7))
+    sizes = ""
+    if nis := next((row for row in evidence if row.quantity == "nis"), None):
+        fit = ": --control fits the noise." if is_noise_far_off(report.tables, baseline) else "."
+        values = f"{baseline} {significant(nis.baseline, 3)}, {nis.filter} {significant(nis.value, 3)}"
+        sizes = f" {label(nis.quantity)}: {values}{fit}"
+    yield f"{trust_sentence(report.tables, name, baseline)}{sizes}"
+
+
+def _believed(candidate: Candidate) -> str:
+    """State what a candidate predicts to gain, and what has become of that."""
+    if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_TOLD:
+        return "it was read, not run: what it believes is told of some states, or of none"
+
+    def gained(change: float | None, gain: str, loss: str) -> str:
+        return f"{percent(-change)} {loss}" if change is not None and change < 0.0 else f"{percent(change)} {gain}"
+
+    unchanged = candidate.mean_convergence_unchanged_pct
+    zero = "" if unchanged is None or not math.isfinite(unchanged) else f" ({percent(unchanged)} without any change)"
+    errors = gained(candidate.mean_improvement_pct, "smaller", "larger")
+    convergence = gained(candidate.mean_convergence_improvement_pct, "faster", "slower")
+    return f"it believes in {errors} errors, {convergence} convergence{zero}: {candidate.belief or Belief.UNDECIDED}"
+
+
+def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
+    """Choose pieces of evidence: what decided, the first of each kind and what was withheld, and what has room."""
+    known = [row for row in rows if row.baseline is not None or row.value is not None]
+    decided = (EvidenceWord.BETTER, EvidenceWord.WORSE)
+    first = {row.evidence: row.quantity for row in reversed(known)}
+
+    def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
+        return (
+            not (row.quantity in DECIDING and row.word in decided),
+            row.quantity not in (first[row.evidence], *WITHHELD_QUANTITIES),
+            row.quantity not in _CHOSEN,
+            row.quantity not in DECIDING_TOGETHER,
+        )
+
+    quantities = {row.quantity for row in sorted(known, key=importance)[:most]}
+    return [row for row in known if row.quantity in quantities]
+
+
+def _many(report: Report) -> list[Part]:
+    """Lay out many candidates, a row each: the piece of evidence that decided, or could have."""
+    rows = []
+    for name, candidate in report.filters.items():
+        judgement, cells, believed = Judgement(candidate.improvement), (MISSING,) * 3, (MISSING, "")
+        if judgement != Judgement.NOT_JUDGED:
+            believed = (percent(candidate.mean_improvement_pct), candidate.belief)
+            for row in list(spoken_of(judgement, _of(name, report.tables.evidence)))[:1]:
+                cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high))
+        rows.append((name, shouted(judgement), *cells, *believed))
+    header = ("filter", f"against {report.baseline}", "by", "ratio", "on this dive", "believed", "")
+    return [Sentences(()), DisplayTable("", header, "lllrrrl", tuple(rows), spare=(4, 5, 6, 2))]

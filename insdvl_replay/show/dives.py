@@ -1,0 +1,289 @@
+"""What people see of several dives: the screen, the summary for scripts, the page that leads to each dive."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+from urllib.parse import quote
+
+from msgspec.structs import astuple
+
+from insdvl_replay.core.errors import natural_key
+from insdvl_replay.core.quantities import DECIDING_TOGETHER, HONESTY, is_whole, label
+from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
+from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
+from insdvl_replay.core.words import GateStatus, Judgement, Severity
+from insdvl_replay.evaluation.over_dives import PooledCandidate, pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.verdicts import spoken_of
+from insdvl_replay.show.dive import (
+    MEANS,
+    TONES,
+    gain_cells,
+    has_reference,
+    interval_text,
+    ratio_text,
+    shouted,
+)
+from insdvl_replay.show.document import MISSING, Column, counted, number, rows_csv, shown, significant, table_of
+from insdvl_replay.show.page import page, sorting_script
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A log that could not be replayed, and why, in one sentence."""
+
+    log: str
+    reason: str
+
+
+Outcome = Report | Failure
+
+
+def _reports(outcomes: Sequence[Outcome]) -> list[Report]:
+    return [outcome for outcome in outcomes if isinstance(outcome, Report)]
+
+
+def _failed(outcomes: Sequence[Outcome]) -> int:
+    return sum(isinstance(outcome, Failure) for outcome in outcomes)
+
+
+def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
+    """Pool the evidence on each candidate of a name, where two dives at least have it."""
+    reports, found = _reports(outcomes), []
+    for name in dict.fromkeys(name for report in reports for name in report.filters):
+        having = [report for report in reports if name in report.filters]
+        judged = [report for report in having if report.filters[name].improvement != Judgement.NOT_JUDGED]
+        rows = [[row for row in report.tables.evidence if row.filter == name] for report in judged]
+        baselines = " or ".join(sorted({report.baseline for report in having}))
+        if len(having) > 1:
+            found.append(pooled_candidate(name, baselines, rows, len(having)))
+    return found
+
+
+# --- The screen: what all dives say together, a row a dive, and where the rest is.
+
+MOST_DIVES: Final = 20
+"""Of more dives those that failed and the worst have rows."""
+MOST_FAILED, WORST, MOST_CODES = 8, 3, 3
+FAILED: Final = GateStatus.FAILED
+"""The word in place of a judgement."""
+
+
+def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
+    """Lay out the screen of several dives, in the order of the logs, whose page is at ``index``."""
+    said = [counted(len(outcomes), "dive"), f"{_failed(outcomes)} failed"]
+    codes = [{note.code for note in report.notes if note.severity == Severity.WARNING} for report in _reports(outcomes)]
+    if counts := Counter(code for found in codes for code in found):
+        named = [f"{code} {count}" for code, count in counts.most_common(MOST_CODES)]
+        named += [f"{len(counts) - MOST_CODES} more"] if len(counts) > MOST_CODES else []
+        said.append(f"warnings on {sum(map(bool, codes))}: {', '.join(named)}")
+    return [
+        *_pooled_parts(pooled_candidates(outcomes)),
+        _dives_table(outcomes),
+        ", ".join(said),
+        Code(f"all tables: -v   page: {index}", ""),
+    ]
+
+
+def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
+    rows = []
+    for found in pooled:
+        # The piece of evidence that decided, or could have.
+        spoken = spoken_of(found.judgement, found.rows, DECIDING_TOGETHER)
+        cells = (MISSING,) * 5
+        if found.judgement != Judgement.NOT_JUDGED and spoken:
+            row = spoken[0]
+            won, p = f"{row.dives_won}/{row.dives}", f"{finite(row.p):.2g}"
+            cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high), won, p)
+        rows.append((found.name, shouted(found.judgement), *cells))
+    if pooled:
+        baselines = " or ".join(dict.fromkeys(found.baseline for found in pooled))
+        header = (f"against {baselines}", "all dives", "by", "ratio", "over dives", "won", "p")
+        yield DisplayTable("", header, "lllrrrr", tuple(rows), spare=(2, 4, 6, 5, 3))
+        yield Sentences(())
+
+
+@dataclass(frozen=True)
+class _Dive:
+    """One row: the evidence on each candidate in the quantity that is shown, and the words on them."""
+
+    log: str
+    evidence: dict[str, EvidenceRow]
+    words: dict[str, str]
+
+
+def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
+    """Lay out a row a dive, with the values of a single candidate, and the ratio and the word of each."""
+    reports = _reports(outcomes)
+    names = list(dict.fromkeys(name for report in reports for name in report.filters))
+    # The piece of evidence that comes first on most dives.
+    evidence = [(name, report.tables.evidence) for report in reports for name in report.filters]
+    firsts = Counter(
+        next((row.quantity, row.unit) for row in rows if row.filter == name)
+        for name, rows in evidence
+        if any(row.filter == name and row.evidence != HONESTY for row in rows)
+    )
+    quantity, unit = firsts.most_common(1)[0][0] if firsts else ("", "")
+    dives = []
+    for outcome in outcomes:
+        if isinstance(outcome, Failure):
+            dives.append(_Dive(outcome.log, {}, dict.fromkeys(names, FAILED)))
+            continue
+        rows = {row.filter: row for row in outcome.tables.evidence if row.quantity == quantity}
+        words = {name: shouted(candidate.improvement) for name, candidate in outcome.filters.items()}
+        dives.append(_Dive(outcome.log.name, rows, words))
+    chosen = dives
+    if len(dives) > MOST_DIVES:
+        failed = [dive for dive in dives if FAILED in dive.words.values()][:MOST_FAILED]
+        known = [dive for dive in dives if dive.evidence]
+        worst = sorted(known, key=lambda dive: -max(finite(row.ratio) for row in dive.evidence.values()))[:WORST]
+        chosen = [dive for dive in dives if dive in failed or dive in worst]
+
+    def text(name: str, write: Callable[[EvidenceRow], str]) -> Callable[[_Dive], str]:
+        return lambda dive: write(dive.evidence[name]) if name in dive.evidence else MISSING
+
+    def word(name: str) -> Callable[[_Dive], str]:
+        return lambda dive: dive.words.get(name, MISSING)
+
+    columns: list[Column] = [(label(quantity) or "dive", "l", "log")]
+    if len(names) == 1:
+        [name], baselines = names, " or ".join(sorted({report.baseline for report in reports}))
+        columns += [
+            (f"{baselines} [{unit}]", "r", text(name, lambda row: significant(row.baseline, 3))),
+            (f"{name} [{unit}]", "r", text(name, lambda row: significant(row.value, 3))),
+            ("ratio", "r", text(name, lambda row: ratio_text(row.ratio))),
+            ("on this dive", "r", text(name, lambda row: interval_text(row.low, row.high))),
+            ("", "l", word(name)),
+        ]
+    else:
+        for name in names:
+            columns += [(name, "r", text(name, lambda row: ratio_text(row.ratio))), ("", "l", word(name))]
+    left_out = len(dives) - len(chosen)
+    footnote = f"failed, and the {WORST} with the largest ratio; {left_out} more: see the page" if left_out else ""
+    chosen = sorted(chosen, key=lambda dive: natural_key(dive.log))
+    return table_of("", chosen, columns, footnote, spare=(4, 1, 2) if len(names) == 1 else ())
+
+
+# --- For scripts: a summary, and the pooled evidence.
+
+COLUMNS: Final = (
+    "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
+    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "belief", "verdicts",
+    "status", "reason",
+)  # fmt: skip
+
+
+def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
+    """Write a row for each log and candidate, as CSV, in the order of the logs.
+
+    Status is ``done`` or ``failed``; a failed log has a reason instead of numbers. A candidate that is ``not judged``
+    has no gain.
+    """
+    rows: list[tuple[object, ...]] = []
+    for outcome in outcomes:
+        if isinstance(outcome, Failure):
+            rows.append((outcome.log, *[None] * (len(COLUMNS) - 3), "failed", outcome.reason))
+            continue
+        for name, candidate in outcome.filters.items():
+            gains = (candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct)
+            if candidate.improvement == Judgement.NOT_JUDGED:
+                gains = (None, None)
+            positions = (*_position_rmse(outcome, name, "position_h"), *_position_rmse(outcome, name, "position_h_pct"))
+            measured = [row for row in outcome.tables.consistency if row.filter == name and is_whole(row.measurement)]
+            verdicts = [f"{row.measurement} {row.verdict}" for row in measured]
+            verdicts += [f"errors {candidate.credibility}"] if candidate.credibility else []
+            words = (candidate.improvement, candidate.belief, "; ".join(verdicts), "done", None)
+            rows.append((outcome.log.name, name, *gains, *positions, *words))
+    return rows_csv(COLUMNS, rows).encode()
+
+
+def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
+    """Return the baseline's and a candidate's rms position error."""
+    rows = (row for row in report.tables.reference_error if (row.filter, row.quantity) == (name, quantity))
+    return next(((row.baseline_rmse, row.rmse) for row in rows), (None, None))
+
+
+def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
+    """Write the pooled evidence of several dives, as CSV."""
+    rows = (astuple(row) for pooled in pooled_candidates(outcomes) for row in pooled.rows)
+    return rows_csv(PooledRow.__struct_fields__, rows).encode()
+
+
+def is_summary(data: bytes) -> bool:
+    """Return whether a file is a summary."""
+    return data.startswith(rows_csv(COLUMNS, ()).encode())
+
+
+def is_evidence(data: bytes) -> bool:
+    """Return whether a file is pooled evidence."""
+    return data.startswith(rows_csv(PooledRow.__struct_fields__, ()).encode())
+
+
+# --- The page, and the same in other formats.
+
+
+def index_page(outcomes: Sequence[Outcome]) -> bytes:
+    """Return the page of several dives, in the order of the logs; a script lets the reader sort its table."""
+    return page([*_opening(outcomes), *_tables(outcomes)], sorting_script())
+
+
+def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
+    """Lay several dives out: what all say together, a row for each dive and candidate, pooled rows."""
+    table, *pooled = _tables(outcomes)
+    return [*_opening(outcomes), replace(table, links=None), *pooled]
+
+
+def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
+    """State how many candidates are better, worse, or neither."""
+    failed, counts = _failed(outcomes), dict[str, Counter[str]]()
+    yield Title(f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else ""))
+    for report in _reports(outcomes):
+        for name, candidate in report.filters.items():
+            counts.setdefault(name, Counter())[candidate.improvement] += 1
+    for pooled in pooled_candidates(outcomes):
+        yield Callout(pooled_sentence(pooled), TONES.get(pooled.judgement, ""))
+    found = (
+        f"{name}: {', '.join(f'{count} {word}' for word, count in words.most_common())}"
+        for name, words in counts.items()
+    )
+    if counts:
+        yield Callout(f"Dive by dive, against the baseline: {'; '.join(found)}.")
+
+
+_HEADER: Final = (
+    "dive", "filter", "judgement", "measured", "believed", "belief", "baseline\nposition [m]",
+    "candidate\nposition [m]", "consistency", "warnings", "failed because",
+)  # fmt: skip
+_ALIGNMENT: Final = "lllrrlrrlrl"
+_WITH_REFERENCE: Final = (5, 6, 7)
+"""Columns that are empty for dives without a reference."""
+_PAGE: Final = "report.html"
+
+
+def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+    """Lay out the dives, each with a link to its page, and the pooled evidence."""
+    rows, links = [], []
+    for outcome in outcomes:
+        if isinstance(outcome, Failure):
+            rows.append((outcome.log, *[MISSING] * 9, outcome.reason))
+            links.append("")
+            continue
+        warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
+        for name, candidate in outcome.filters.items():
+            positions = map(number, _position_rmse(outcome, name, "position_h"))
+            gains, trust = gain_cells(outcome, name), (candidate.consistency, str(warnings), "")
+            rows.append((outcome.log.name, name, *gains, *positions, *trust))
+            links.append(f"{quote(outcome.log.name)}/{_PAGE}")
+    known = any(has_reference(report) for report in _reports(outcomes))
+    left_out = {*(() if known else _WITH_REFERENCE), *(() if _failed(outcomes) else (len(_HEADER) - 1,))}
+    kept = [place for place in range(len(_HEADER)) if place not in left_out]
+    yield DisplayTable(
+        "Each candidate against its baseline",
+        tuple(_HEADER[place] for place in kept),
+        "".join(_ALIGNMENT[place] for place in kept),
+        tuple(tuple(cells[place] for place in kept) for cells in rows),
+        f"{MEANS}; position: rms of the horizontal error" if known else MEANS,
+        links=tuple(links),
+    )
+    for pooled in pooled_candidates(outcomes):
+        yield shown(PooledRow, pooled.rows, filter=pooled.name, baseline=pooled.baseline)

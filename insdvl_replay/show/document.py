@@ -1,0 +1,200 @@
+"""Tables: rows become a `DisplayTable` for people, whose values are text, or CSV."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
+from msgspec.structs import astuple
+
+from insdvl_replay.core.errors import Note, visible
+from insdvl_replay.core.quantities import label
+from insdvl_replay.core.result import PAGE, CellText, DisplayTable, Document, Figure, Format, Heading, Html, Only, Part
+from insdvl_replay.core.tables import layout_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+MISSING: Final = "-"
+TENFOLD: Final = 10.0
+"""From here on, a ratio has as many digits as other numbers."""
+
+
+def number(value: float | None) -> str:
+    """Write a number with four significant digits, without an exponent where that stays short."""
+    if value is None or math.isnan(value):
+        return MISSING
+    if value == 0.0 or math.isinf(value):
+        return f"{value:g}"
+    exponent = math.floor(math.log10(abs(value)))
+    return f"{value:.{max(3 - exponent, 0)}f}" if -4 <= exponent < 7 else f"{value:.2e}"
+
+
+def decimal(value: float | None, digits: int) -> str:
+    """Write a number with a fixed number of digits after the point."""
+    return MISSING if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def significant(value: float | None, digits: int = 2) -> str:
+    """Write a number with a fixed number of significant digits."""
+    return MISSING if value is None or math.isnan(value) else f"{value:.{digits}g}"
+
+
+def percent(value: float | None) -> str:
+    """Write a percentage with one digit."""
+    return MISSING if value is None or math.isnan(value) else f"{value:z.1f} %"
+
+
+def ratio(value: float | None) -> str:
+    """Write a ratio with three decimals, one of ten and more with four digits."""
+    return decimal(value, 3) if value is None or abs(value) < TENFOLD else number(value)
+
+
+def signed_percent(value: float | None) -> str:
+    """Write a change in percent with its sign: one digit after the point, two of a small one, none of almost none."""
+    if value is None or abs(value) < 0.005:
+        return MISSING if value is None else "0"
+    return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
+
+
+def counted(count: int, noun: str) -> str:
+    """Write how many there are of something."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
+    "": lambda value: number(value) if value is None or isinstance(value, float) else str(value),
+    "label": label,
+    "short": lambda name: label(name).replace("accelerometer", "accel."),
+    "words": lambda value: value.replace("_", " "),
+    "percent": percent,
+    "ratio": ratio,
+    "significant": significant,
+    "value": partial(significant, digits=3),
+    "signed": lambda value: number(value) if value is None or value <= 0.0 else f"+{number(value)}",
+    "signed_percent": signed_percent,
+    "cell": lambda value: number(value) if isinstance(value, float) else MISSING if value is None else str(value),
+    **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
+}
+"""How the value of a column is written, by the name in its row type."""
+
+Column = tuple[str, str, Callable[[Any], CellText] | str]
+"""Head; alignment; what a cell shows, or the row's key, with its form after a colon, such as ``sd:percent``."""
+
+
+def table_of(
+    title: str,
+    rows: "Iterable[Any] | pd.DataFrame",
+    columns: Sequence[Column],
+    footnote: str = "",
+    spare: tuple[int, ...] = (),
+) -> DisplayTable:
+    """Return a table with a row for each of ``rows``: objects, mappings, or those of a frame."""
+    listed: list[Any] = rows.to_dict("records") if hasattr(rows, "to_dict") else list(rows)
+    get: Callable[[str], Callable[[Any], Any]] = itemgetter if listed and isinstance(listed[0], dict) else attrgetter
+    texts = [_text(*text.partition(":"), get) if isinstance(text, str) else text for _, _, text in columns]
+    cells = tuple(tuple(text(row) for text in texts) for row in listed)
+    alignment = "".join(letter for _, letter, _ in columns)
+    return DisplayTable(title, tuple(head for head, _, _ in columns), alignment, cells, footnote, spare=spare)
+
+
+def _text(key: str, _: str, form: str, get: Callable[[str], Callable[[Any], Any]]) -> Callable[[Any], CellText]:
+    value, write = get(key), FORMS[form]
+    return lambda row: write(value(row))
+
+
+def shown(kind: type[Struct], rows: Iterable[Struct], footnote: str = "", **names: str) -> DisplayTable:
+    """Return a table of rows of a type: its columns that have a head, in which ``{filter}`` is a name."""
+    layout = layout_of("", kind)
+    columns: list[Column] = [
+        (column.head.format(**names), "l" if layout.kinds[name] == "text" else "r", f"{name}:{column.form}")
+        for name, column in layout.columns.items()
+        if column.head
+    ]
+    return table_of(layout.title.format(**names), rows, columns, footnote or layout.footnote)
+
+
+def cell_lines(cell: CellText) -> list[str]:
+    """Return the lines of a cell as they can be shown anywhere."""
+    return [visible(line) for line in ([cell] if isinstance(cell, str) else cell)]
+
+
+def losses(notes: Iterable[Note]) -> DisplayTable | str:
+    """Return what was dropped, assumed or found odd, with counts."""
+    rows = tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes)
+    if not rows:
+        return "Nothing."
+    return DisplayTable("Notes on reading, preparing and filtering", ("count", "", "what", "what helps"), "rlll", rows)
+
+
+def parts_for(format_: Format, document: Document) -> Iterator[Part]:
+    """Yield the parts that a format shows."""
+    for part in document:
+        if isinstance(part, Only):
+            if format_ in part.formats:
+                yield from part.parts
+        elif format_ in PAGE or not isinstance(part, Heading | Figure | Html):
+            yield part
+
+
+# --- CSV: UTF-8, LF, numbers in full, empty for what is missing.
+
+_FORMULA: Final = ("=", "+", "-", "@")
+"""A spreadsheet takes a cell for a formula that begins so; blanks before it are escapes by then."""
+Header = Sequence[str]
+
+
+def rows_csv(header: Header, rows: Iterable[Sequence[object]]) -> str:
+    """Write rows as CSV. A text that a spreadsheet would take for a formula gets an apostrophe before it."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(map(_csv_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _csv_cell(value: object) -> object:
+    if isinstance(value, float):
+        return None if math.isnan(value) else value
+    if isinstance(value, dict):
+        value = [f"{key}={part}" for key, part in value.items()]
+    if isinstance(value, list | tuple):
+        value = "; ".join(map(str, value))
+    if not isinstance(value, str):
+        return value
+    text = visible(value)
+    if not text.startswith(_FORMULA):
+        return text
+    try:
+        float(text)  # values of settings are numbers, too
+    except ValueError:
+        return f"'{text}"
+    return text
+
+
+def header_and_rows(table: "Sequence[Struct] | pd.DataFrame") -> tuple[Header, Iterable[Sequence[object]]]:
+    """Return the names and the rows of a table; without rows of structs no name is known."""
+    if isinstance(table, Sequence):
+        return (table[0].__struct_fields__ if table else ()), map(astuple, table)
+    return list(table.columns), table.itertuples(index=False, name=None)
+
+
+def table_csv(table: "Sequence[Struct] | pd.DataFrame") -> bytes:
+    """Write a table as CSV. Floats have as many digits as it takes to read them back exactly."""
+    return rows_csv(*header_and_rows(table)).encode()
+
+
+def structs_csv(kind: type[Struct], rows: Iterable[Struct]) -> str:
+    """Write rows of one type as CSV; the header is there without rows too."""
+    return rows_csv(kind.__struct_fields__, map(astuple, rows))
+
+
+def blocks_csv(column: str, blocks: Mapping[str, tuple[Header, Iterable[Sequence[object]]]]) -> str:
+    """Write tables one after the other, a blank line between them; the first column, ``column``, has their names."""
+    return "\n".join(
+        rows_csv((column, *header), ((name, *row) for row in rows)) for name, (header, rows) in blocks.items()
+    )

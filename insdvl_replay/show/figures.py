@@ -1,0 +1,544 @@
+"""The figures of a replay: what was measured, and what the filters predict of their own errors."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, seconds
+from insdvl_replay.core.history import History
+from insdvl_replay.core.result import (
+    BELIEVED,
+    LIMIT,
+    REFERENCE,
+    REJECTED,
+    Band,
+    Curve,
+    Figure,
+    Panel,
+    Shade,
+    dashes_on_top,
+    filter_style,
+)
+from insdvl_replay.core.states import DEG, STATES
+from insdvl_replay.core.tables import CoastingRow, EvidenceRow, finite
+from insdvl_replay.evaluation.chi_square import mean_interval
+from insdvl_replay.evaluation.convergence import ConvergenceCurves
+from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration
+from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageCurve
+from insdvl_replay.geometry.frames import north_east_down_m
+from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
+from insdvl_replay.replay import Replay
+from insdvl_replay.show.plot import Axis, limits
+
+DERIVED: Final = "derived"
+REACHED: Final = "reached"
+SIGMAS: Final = 3.0
+SETTLED: Final = 0.02
+"""Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
+_SHOWN, _AIR = 0.97, 1.15
+"""Share of the values that a panel shows, since the growth in one outage would flatten all the rest; and air above."""
+_MISSING: Final = 2.5
+"""Samples are missing where none came for this many of the usual steps."""
+_WIDEST: Final = 4.0
+"""So many times the largest error a panel shows of a band: more would make a flat line of the error."""
+_UNITS: Final = ((2 * 3600.0, 3600.0, "h"), (20 * 60.0, 60.0, "min"), (0.0, 1.0, "s"))
+"""From this length on, this unit, of this name."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Time since the start of a replay, in a unit that suits its length."""
+
+    start_ns: int
+    end_ns: int
+
+    @property
+    def label(self) -> str:
+        """What is written at a time axis."""
+        return f"time [{self._unit[1]}]"
+
+    def time(self, time_ns: TimeNs) -> Floats:
+        """Return times since the start in the axis's unit, shape (k,)."""
+        return seconds(time_ns, self.start_ns) / self._unit[0]
+
+    @property
+    def _unit(self) -> tuple[float, str]:
+        length_s = (self.end_ns - self.start_ns) * 1e-9
+        return next((size, name) for least, size, name in _UNITS if length_s >= least)
+
+
+def replay_figures(replay: Replay) -> tuple[Figure, ...]:
+    """Draw all figures of a replay: what was measured, then what the filters predict."""
+    clock = Clock(replay.start_ns, replay.end_ns)
+    figures = (
+        *_error_figure(replay, clock),
+        *coasting_figure(replay.curves.coasting, clock),
+        *convergence_figure(replay.curves.convergence, replay.tables.evidence),
+        _sigma_figure(replay.histories, clock),
+        nis_figure(replay.histories, clock, lambda dof: mean_interval(dof, 1)),
+        _motion_figure(replay, clock),
+        *_acceleration_figure(replay, clock),
+    )
+    shades = shades_of(replay)
+    return tuple(
+        replace(figure, panels=tuple(_shaded(panel, shades, clock) for panel in figure.panels)) for figure in figures
+    )
+
+
+def first_panels(replay: Replay) -> list[Panel]:
+    """Draw the first screen: the horizontal error over time, or the drift without velocities; and the track."""
+    clock, panels = Clock(replay.start_ns, replay.end_ns), [track_panel(replay)]
+    if replay.curves.position:
+        curves, bands = [], []
+        for number, (name, curve) in enumerate(replay.curves.position.items()):
+            time = clock.time(replay.start_ns + np.round(curve.time_s * NS_PER_S).astype(np.int64))
+            curves.append((name, time, curve.median_m))
+            if curve.starts > 1:
+                bands.append(Band(time, curve.low_m, curve.high_m, filter_style(number)))
+        title = "horizontal position error [m]"
+        panels.insert(0, Panel(title, clock.label, _filter_curves(curves, named=True), tuple(bands)))
+    elif replay.curves.coasting:
+        panels.insert(0, _drift_panel(replay.curves.coasting))
+    return [_shaded(panel, shades_of(replay), clock) for panel in panels]
+
+
+def _filter_curves(curves: Iterable[tuple[str, Floats, Floats]], *, named: bool = False) -> tuple[Curve, ...]:
+    """Return a curve for each filter, from name, x and y, in the order of the settings; named at their ends."""
+    drawn = [Curve(x, y, filter_style(i), label=name if named else "") for i, (name, x, y) in enumerate(curves)]
+    return dashes_on_top(drawn)
+
+
+def _legend(names: Iterable[str]) -> tuple[tuple[str, str], ...]:
+    return tuple((filter_style(number), name) for number, name in enumerate(names))
+
+
+# --- Errors against the reference.
+
+
+def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
+    """Draw velocity, attitude and position errors, as far as the reference has them."""
+    reference, found = replay.dive.reference, []
+    if not replay.errors or reference is None:
+        return
+    for history in replay.histories:
+        errors = replay.errors[history.filter]
+        rows = np.searchsorted(history.time_ns, errors.time_ns)
+        mat_nb_reference = reference.mat_nb[np.searchsorted(reference.time_ns, errors.time_ns)]
+        misalignment_n = vector_from_mat(history.mat_nb[rows] @ np.swapaxes(mat_nb_reference, 1, 2))
+        state_error = np.hstack([errors.velocity_error_n, misalignment_n])
+        found.append((history.filter, errors.time_ns, state_error, history.sd[rows, :6], errors.position_error_ned_m))
+    panels = []
+    for state in STATES[:6]:
+        curves, bands, shown = [], [], []
+        for number, (name, time_ns, state_error, state_sd, _) in enumerate(found):
+            time = clock.time(time_ns)
+            error, sd = (column[:, state.index] / state.factor for column in (state_error, state_sd))
+            curves.append((name, time, error))
+            bands.append(Band(time, -SIGMAS * sd, SIGMAS * sd, filter_style(number)))
+            largest = float(np.max(np.abs(error), where=np.isfinite(error), initial=0.0)) or np.inf
+            height = min(SIGMAS * _settled_height(sd[_settled(time_ns, clock)]), _WIDEST * largest)
+            shown += [error, np.array([-height, height])]
+        title, y_limits = f"{state.label} [{state.unit}]", limits(np.concatenate(shown))
+        panels.append(Panel(title, clock.label, _filter_curves(curves, named=True), tuple(bands), y_limits=y_limits))
+    for axis, direction in enumerate(("north", "east", "down")):
+        curves = [(name, clock.time(time_ns), position[:, axis]) for name, time_ns, _, _, position in found]
+        panels.append(Panel(f"position error, {direction} [m]", clock.label, _filter_curves(curves)))
+    yield Figure(
+        "How wrong they are: errors against the reference",
+        "Shaded: three standard deviations to either side, as each filter believes them. An honest filter stays "
+        "inside, and fills a good part of it; a band that is much wider than the errors leaves the panel. The position "
+        "has no band.",
+        tuple(panel for panel in panels if any(np.isfinite(curve.y).any() for curve in panel.curves)),
+        _legend(name for name, *_ in found),
+    )
+
+
+def _settled(time_ns: TimeNs, clock: Clock) -> NDArray[np.bool_]:
+    """Find which times are after the settling at the start, shape (k,)."""
+    settled: NDArray[np.bool_] = time_ns - clock.start_ns >= SETTLED * (clock.end_ns - clock.start_ns)
+    return settled
+
+
+def _settled_height(values: Floats) -> float:
+    """Return the height that a panel needs for values after the settling, 0 for none: short peaks may rise above."""
+    known = values[np.isfinite(values)]
+    return _AIR * float(np.quantile(known, _SHOWN)) if len(known) else 0.0
+
+
+# --- The outage test and measured convergence.
+
+
+def coasting_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[Figure]:
+    """Draw the drift without velocities over time, and where in the dive it is large; nothing without windows."""
+    if not curves:
+        return
+    windows = len(next(iter(curves.values())).begin_ns)
+    how = "of one window" if windows == 1 else f"over {windows} windows, one every {SHOWN_EVERY_S} s"
+    by_window = [(name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()]
+    yield Figure(
+        "Coasting: how far they drift while the DVL is withheld",
+        f"By what the withheld velocities say, with or without a reference. First the median {how}, and shaded where "
+        f"95 % of them stay; then each window by itself, where it begins. {CoastingRow.footnote}",
+        (
+            _drift_panel(curves),
+            Panel(f"drift in {SHOWN_S} s, by where they begin [m]", clock.label, _filter_curves(by_window)),
+        ),
+        _legend(curves),
+    )
+
+
+def _drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
+    """Draw the drift without velocities over the time they are withheld: median, and where 95 % stay."""
+    lines = _filter_curves([(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True)
+    bands = tuple(
+        Band(curve.time_s, np.zeros_like(curve.p95_m), curve.p95_m, filter_style(number))
+        for number, curve in enumerate(curves.values())
+    )
+    return Panel("horizontal drift [m]", "time withheld [s]", lines, bands)
+
+
+_CONVERGED: Final = {
+    "level": ("level: roll and pitch [deg]", DEG),
+    "heading": ("heading [deg]", DEG),
+    "velocity": ("horizontal velocity [m/s]", 1.0),
+}
+"""By quantity of convergence the title of its panel, and its unit in SI."""
+_FIRST_S, _FIRST = 1.0, 1e-3
+"""Seconds, and share of the time, that are left out: no ping has come, and half of the axis would show them."""
+
+
+def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequence[EvidenceRow]) -> Iterator[Figure]:
+    """Draw how the true errors of drawn starts wear off, one panel for each quantity; nothing where none is known.
+
+    ``curves`` are by quantity of `quantities.CONVERGED`; ``evidence`` has the times at which the errors are down.
+    """
+    names, panels = [], []
+    for quantity, (title, unit) in _CONVERGED.items():
+        if (found := curves.get(quantity)) is None:
+            continue
+        names = list(found.rms)
+        shown = found.time_s >= max(_FIRST_S, _FIRST * found.time_s[-1])
+        time_s, limit = found.time_s[shown], found.limit / unit
+        believed = [
+            Curve(time_s, found.believed[name][shown] / unit, f"{filter_style(number)} {BELIEVED}")
+            for number, name in enumerate(names)
+        ]
+        measured = _filter_curves([(name, time_s, found.rms[name][shown] / unit) for name in names])
+        rows = [row for row in evidence if row.quantity == f"convergence_{quantity}"]
+        reached_s = {names[0]: finite(rows[0].baseline) if rows else np.nan}
+        reached_s = {row.filter: finite(row.value) for row in rows} | reached_s
+        points = [
+            Curve(np.array([reached_s[name]]), np.array([limit]), f"{filter_style(number)} {REACHED}", points=True)
+            for number, name in (*enumerate(names[1:], 1), (0, names[0]))
+            if np.isfinite(reached_s.get(name, np.nan))
+        ]
+        drawn = (*believed, *measured, *points)
+        panels.append(Panel(title, "time [s]", drawn, levels=(limit,), y_scale="log", x_scale="log"))
+    if panels:
+        yield Figure(
+            "Measured convergence: how errors of the start wear off",
+            "Rms of the true errors of runs from drawn starts, each over the last tenth of the time that has passed. A "
+            f"point marks from when on a filter is as good as {names[0]} is at the end; there is none where nothing "
+            "falls.",
+            tuple(panels),
+            (
+                *_legend(names),
+                (f"{REFERENCE} {BELIEVED}", "what a filter believes of its error"),
+                (LIMIT, f"rms of {names[0]} at the end, and one standard error more"),
+            ),
+        )
+
+
+# --- What the filters predict.
+
+
+def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
+    """Draw the standard deviations of all filters, one panel for each state."""
+    shown, panels = [], []
+    for history in histories:
+        # Rows with a ping, and those that wait long for one: between two pings an uncertainty grows, and a curve
+        # through all rows would be a broad stroke of that growth.
+        last = np.maximum.accumulate(np.where(history.updated, np.arange(len(history.time_ns)), 0))
+        waited_ns = history.time_ns - history.time_ns[last]
+        usual_ns = np.median(np.diff(history.time_ns[history.updated])) if history.updated.sum() > 1 else 0.0
+        rows = history.updated | (waited_ns > _MISSING * usual_ns) | (waited_ns == 0)
+        shown.append((rows, history.updated[rows] & _settled(history.time_ns[rows], clock)))
+    for state in STATES:
+        highest, curves = 0.0, []
+        for number, (history, (rows, pings)) in enumerate(zip(histories, shown, strict=True)):
+            if history.believed[state.index]:
+                sd = history.sd[rows, state.index] / state.factor
+                highest = max(highest, _settled_height(sd[pings]))
+                time = clock.time(history.time_ns[rows])
+                curves.append(Curve(time, sd, filter_style(number), label=history.filter))
+        y_limits = (0.0, highest) if highest else None
+        title = f"{state.label} [{state.unit}]"
+        panels.append(Panel(title, clock.label, dashes_on_top(curves), y_limits=y_limits))
+    return Figure(
+        "What the filters believe: standard deviations",
+        "Square roots of P's diagonal, as each ping leaves them, and as they grow where pings are missing. The start, "
+        "where they fall steeply, and short peaks may lie above a panel.",
+        tuple(panels),
+        _legend(history.filter for history in histories),
+    )
+
+
+def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[int], tuple[float, float]]) -> Figure:
+    """Draw the NIS of every update, one panel for each filter and measurement.
+
+    ``interval`` gives, by degrees of freedom, where 95 % of the values of a consistent filter are.
+    """
+    panels = []
+    for number, history in enumerate(histories):
+        for innovations in history.innovations:
+            if not len(innovations.nis):
+                continue
+            time = clock.time(innovations.time_ns)
+            rejected = np.where(innovations.used | innovations.is_withheld, np.nan, innovations.nis)
+            curves = (
+                Curve(time, innovations.nis, f"{filter_style(number)} solid"),
+                Curve(time, rejected, REJECTED, points=True),
+            )
+            title, levels = f"{history.filter}: NIS of the {innovations.measurement}", interval(innovations.dof)
+            panels.append(Panel(title, clock.label, curves, levels=levels, y_scale="log"))
+    return Figure(
+        "Whether they know it: normalised innovations squared",
+        "Above the interval a filter is surer than it should be; below, it trusts its measurement too little.",
+        tuple(panels),
+        (
+            *_legend(history.filter for history in histories),
+            (LIMIT, "95 % of the values of a consistent filter"),
+            (REJECTED, "rejected by the gate"),
+        ),
+    )
+
+
+# --- The vehicle: its track, its motion, its accelerations.
+
+
+def _ned_m(position: Floats, origin: Floats) -> Floats:
+    return north_east_down_m(position, np.broadcast_to(origin, position.shape))
+
+
+def _reference_track(replay: Replay) -> tuple[TimeNs, Floats] | None:
+    """Return times and positions, from the baseline's start, of the reference inside the replay."""
+    reference = replay.dive.reference
+    if reference is None or not reference.has_position:
+        return None
+    inside = (reference.time_ns >= replay.start_ns) & (reference.time_ns <= replay.end_ns)
+    return reference.time_ns[inside], _ned_m(reference.position[inside], replay.histories[0].position[0])
+
+
+def _motion_figure(replay: Replay, clock: Clock) -> Figure:
+    """Draw the tracks from above and over time, and how the baseline says that the vehicle moved."""
+    baseline = replay.histories[0]
+    tracks = [
+        (history.filter, filter_style(number), history.time_ns, _ned_m(history.position, baseline.position[0]))
+        for number, history in enumerate(replay.histories)
+    ]
+    if (known := _reference_track(replay)) is not None:
+        tracks.append(("reference", REFERENCE, *known))
+    above = [Curve(ned_m[:, 1], ned_m[:, 0], style) for _, style, _, ned_m in tracks]
+    down = [Curve(clock.time(time_ns), ned_m[:, 2], style) for _, style, time_ns, ned_m in tracks]
+    speed_mps = np.hypot(baseline.velocity_n[:, 0], baseline.velocity_n[:, 1])
+    # The turn rate is from ping to ping, where the states are far enough apart for a rate.
+    pings = np.flatnonzero(baseline.updated)
+    ping_ns, heading = baseline.time_ns[pings], rpy_from_mat(baseline.mat_nb[pings])[:, 2]
+    rate_degps = wrap_angle(np.diff(heading)) / seconds(ping_ns[1:], ping_ns[:-1]) / DEG
+    solid = f"{filter_style(0)} solid"
+    speed = Curve(clock.time(baseline.time_ns), speed_mps, solid)
+    turn_rate = Curve(clock.time(ping_ns[1:]), rate_degps, solid)
+    return Figure(
+        "What the vehicle did",
+        "The track from above and the depth begin at the start of the replay; speed over ground and turn rate are "
+        "the baseline's.",
+        (
+            Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(above), equal=True),
+            Panel("speed over ground, horizontal [m/s]", clock.label, (speed,)),
+            Panel("turn rate of the heading [deg/s]", clock.label, (turn_rate,)),
+            Panel("depth below the start [m]", clock.label, dashes_on_top(down)),
+        ),
+        tuple((style, name) for name, style, _, _ in tracks),
+    )
+
+
+SEEN: Final = 0.08
+"""Share of the size of a track that its largest error is drawn as, at least half of it."""
+
+
+def track_panel(replay: Replay) -> Panel:
+    """Draw the tracks from above; with a reference, their errors magnified so that they are seen."""
+    histories, known = list(replay.histories), _reference_track(replay)
+    errors = {name: found for name, found in replay.errors.items() if np.isfinite(found.position_error_ned_m).any()}
+    if known is None or not errors:
+        origin = histories[0].position[0]
+        ned = [(history.filter, _ned_m(history.position, origin)) for history in histories]
+        curves = _filter_curves([(name, ned_m[:, 1], ned_m[:, 0]) for name, ned_m in ned], named=True)
+        return Panel("track: north [m] over east [m]", "east [m]", curves, equal=True, low=True)
+    times_ns, ned_m = known
+    size_m = max(float(np.ptp(axis[np.isfinite(axis)])) for axis in (ned_m[:, 1], ned_m[:, 0]))
+    largest_m = max(float(np.nanmax(np.abs(found.position_error_ned_m[:, :2]))) for found in errors.values())
+    wanted = SEEN * size_m / largest_m if largest_m > 0.0 else 1.0
+    steps = [digit * 10.0**power for power in range(7) for digit in (1.0, 2.0, 5.0)]
+    times = max((step for step in steps if step <= wanted), default=1.0)
+    drawn = []
+    for number, history in enumerate(histories):
+        if (found := errors.get(history.filter)) is not None:
+            rows = np.clip(np.searchsorted(times_ns, found.time_ns), 0, len(times_ns) - 1)
+            off = ned_m[rows] + times * found.position_error_ned_m
+            drawn.append(Curve(off[:, 1], off[:, 0], filter_style(number), label=history.filter))
+    drawn.append(Curve(ned_m[:, 1], ned_m[:, 0], REFERENCE, label="reference"))
+    much = f", errors {times:g} times as large" if times > 1.0 else ""
+    return Panel(f"track{much}: north [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True)
+
+
+def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
+    """Draw the accelerations by the DVL and by the reference over time, one panel for each axis of the body."""
+    met = (innovations for history in replay.histories for innovations in history.innovations)
+    derived = next((found for found in met if found.measurement == "acceleration" and len(found.valid_ns)), None)
+    if derived is None:
+        return
+    legend, curves = [(DERIVED, "slope of the DVL's velocities")], {DERIVED: derived.measured}
+    reference, filters = replay.dive.reference, replay.config.filters.values()
+    if reference is not None and reference.has_velocity and reference.has_attitude:
+        longest_s = max(
+            filter_.acceleration.max_window_gap_s for filter_ in filters if filter_.acceleration is not None
+        )
+        acceleration_b = reference_acceleration(reference, longest_s)
+        curves[REFERENCE] = acceleration_at(derived.valid_ns, reference.time_ns, acceleration_b)
+        legend.append((REFERENCE, "derivative of the reference's velocity"))
+    time = clock.time(derived.valid_ns)
+    swing = " The swing of the DVL about the IMU is left in." if np.any(replay.config.dvl.lever_arm_m) else ""
+    yield Figure(
+        f"What the acceleration is worth: from the DVL{', beside the reference' if REFERENCE in curves else ''}",
+        f"Rates of the velocity's components in body axes, at the middle of their windows.{swing}",
+        tuple(
+            Panel(
+                f"acceleration {direction} [m/s²]",
+                clock.label,
+                tuple(Curve(time, values[:, axis], style) for style, values in curves.items()),
+            )
+            for axis, direction in enumerate(("forward", "starboard", "down"))
+        ),
+        tuple(legend),
+    )
+
+
+# --- Shades behind the panels over time: where the vehicle turned, and where the DVL has no velocity.
+
+TURNS_DEGPS, OVER_S = 1.5, 10.0
+"""The heading changes by more, over the time of several pings."""
+SILENT: Final = 3.0
+"""Pings are missing where none came for this many of the usual steps."""
+MOST: Final = 40
+"""More stretches of a kind would hide the curves: then none is shaded."""
+
+
+def shades_of(replay: Replay) -> tuple[Shade, ...]:
+    """Find what is shaded behind the panels over time of a replay."""
+    baseline, clock = replay.histories[0], Clock(replay.start_ns, replay.end_ns)
+    rows = np.flatnonzero(baseline.updated)
+    turns = np.empty((0, 2), dtype=np.int64)
+    if len(rows) >= 3:
+        time_ns, heading = baseline.time_ns[rows], rpy_from_mat(baseline.mat_nb[rows])[:, 2]
+        unwrapped, time_s = np.cumsum(np.append(0.0, wrap_angle(np.diff(heading)))), seconds(time_ns, time_ns[0])
+        before, after = (
+            np.interp(np.clip(time_s + half_s, 0.0, time_s[-1]), time_s, unwrapped)
+            for half_s in (-OVER_S / 2.0, OVER_S / 2.0)
+        )
+        turning = np.abs(after - before) > TURNS_DEGPS * OVER_S * DEG
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], turning, [False]]).astype(np.int8))).reshape(-1, 2)
+        turns = time_ns[np.minimum(edges, len(time_ns) - 1)]
+    pings_ns = replay.velocities.time_ns
+    inside = pings_ns[(pings_ns > replay.start_ns) & (pings_ns < replay.end_ns)]
+    steps_ns = np.concatenate([[replay.start_ns], inside, [replay.end_ns]])
+    gaps = np.flatnonzero(np.diff(steps_ns) > SILENT * float(np.median(np.diff(steps_ns))))
+    silent = np.column_stack([steps_ns[gaps], steps_ns[gaps + 1]])
+    return tuple(
+        Shade(float(begin), float(end), style)
+        for style, stretches in (("turn", turns), ("silent", silent))
+        if len(stretches) <= MOST
+        for begin, end in clock.time(stretches)
+    )
+
+
+def _shaded(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
+    return replace(panel, shades=shades) if panel.x_label == clock.label else panel
+
+
+# --- Strips: which part of the dive each sensor covers, so that gaps are seen.
+
+_COLUMNS, _HEIGHT, _TICKS = 300, 20, 5
+_FEWEST_BEAMS: Final = 3
+"""With fewer valid beams a ping has no velocity."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One sensor, or one beam."""
+
+    name: str
+    time_ns: TimeNs  # (k,), of all its samples
+    valid: NDArray[np.bool_]  # (k,), whether a sample has a value
+
+
+def coverage_strips(replay: Replay) -> str:
+    """Draw a strip for each sensor, as HTML: as high as the share of the time that its valid samples cover."""
+    clock, rows = Clock(replay.start_ns, replay.end_ns), []
+    for source in _sources(replay.dive):
+        shares = covered_shares(source, clock.start_ns, clock.end_ns)
+        heights = np.round(shares * _HEIGHT).astype(int)
+        changes = np.flatnonzero(np.diff(heights, prepend=-1)).tolist()
+        steps = "".join(f"H{column}V{_HEIGHT - heights[column]}" for column in changes)
+        rows.append(
+            f'<div class="source"><span>{escape(source.name)}</span>'
+            f'<span class="share">{100.0 * float(shares.mean()):.1f} %</span></div>'
+            f'<svg class="strip" viewBox="0 0 {_COLUMNS} {_HEIGHT}" preserveAspectRatio="none">'
+            f'<path d="M0 {_HEIGHT}{steps}H{_COLUMNS}V{_HEIGHT}Z"/></svg>'
+        )
+    whole = float(clock.time(np.array([clock.end_ns]))[0])
+    ticks = [f'<span style="left:{at:.1f}%">{label}</span>' for at, label in Axis(0.0, whole, 0.0, 100.0).ticks(_TICKS)]
+    times = f'{"".join(ticks)}<span class="last">{clock.label}</span>'
+    return f'<div class="strips">{"".join(rows)}<div></div><div class="times">{times}</div></div>'
+
+
+def _sources(dive: Dive) -> Iterator[Source]:
+    yield Source("IMU", dive.imu.time_ns, np.ones(len(dive.imu.time_ns), dtype=bool))
+    if dive.dvl.beam_velocity_mps is not None:
+        valid = np.isfinite(dive.dvl.beam_velocity_mps)
+        for beam, column in enumerate(valid.T):
+            yield Source(f"DVL beam {beam}", dive.dvl.time_ns, column)
+        yield Source("DVL, three beams or more", dive.dvl.time_ns, valid.sum(axis=1) >= _FEWEST_BEAMS)
+    elif dive.dvl.velocity_d is not None:
+        yield Source("DVL velocity", dive.dvl.time_ns, np.isfinite(dive.dvl.velocity_d.sum(axis=1)))
+    if (reference := dive.reference) is not None:
+        # One strip where each row has all that the reference ever has, else one for each quantity.
+        known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
+        if all(rows.all() for rows in known.values()):
+            known = {"": np.ones(len(reference.time_ns), dtype=bool)}
+        for quantity, rows in known.items():
+            yield Source(f"reference {quantity}".strip(), reference.time_ns[rows], rows[rows])
+
+
+def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _COLUMNS) -> Floats:
+    """Return the share of each column of a span, (columns,), that valid samples cover, from 0 to 1."""
+    time_ns = source.time_ns
+    if len(time_ns) < 2:
+        return np.zeros(columns)
+    # A sample lasts until the next, but no longer than some usual steps.
+    steps_ns = np.diff(time_ns).astype(np.float64)
+    usual_ns = float(np.median(steps_ns))
+    lasts_ns = np.minimum(np.append(steps_ns, usual_ns), _MISSING * usual_ns) * source.valid
+    # What is covered until each edge: the samples before it, less what of the last is still to come.
+    edges_ns = np.linspace(start_ns, end_ns, columns + 1, dtype=np.int64)
+    before_ns = np.append(0.0, np.cumsum(lasts_ns))
+    rows = np.searchsorted(time_ns, edges_ns, side="right")
+    latest = np.maximum(rows - 1, 0)
+    unfinished_ns = np.maximum(lasts_ns[latest] - (edges_ns - time_ns[latest]), 0.0)
+    covered_ns = before_ns[rows] - np.where(rows > 0, unfinished_ns, 0.0)
+    shares: Floats = np.clip(np.diff(covered_ns) / np.diff(edges_ns), 0.0, 1.0)
+    return shares

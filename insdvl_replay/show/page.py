@@ -1,0 +1,207 @@
+"""A document as a page: one file, no network, readable without scripts, on paper, in the light and in the dark."""
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from hashlib import sha256
+from html import escape as html_escape
+from importlib.resources import files
+from typing import Final
+
+from insdvl_replay.core.errors import visible_lines
+from insdvl_replay.core.result import (
+    REJECTED,
+    Callout,
+    Code,
+    DisplayTable,
+    Document,
+    Figure,
+    Heading,
+    Html,
+    Panel,
+    Part,
+    Remark,
+    Sentences,
+    Title,
+)
+from insdvl_replay.show.document import cell_lines, parts_for
+from insdvl_replay.show.plot import panel_svg, style_sheet
+
+_SHORT: Final = 20
+"""Cells with more characters are folded; the others are on one line."""
+_SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
+
+
+def page(document: Document, script: str = "") -> bytes:
+    """Render a document with a title as a page; the same document gives the same bytes.
+
+    Before the first heading are links to all of them. Tables that follow each other are side by side where there is
+    room. The script makes the page more comfortable; the page can do without it.
+    """
+    shown = list(parts_for("html", document))
+    [title] = [escape(part.text) for part in shown if isinstance(part, Title)]
+    parts = [part for part in shown if not isinstance(part, Title)]
+    headings = [part.text for part in parts if isinstance(part, Heading)]
+    first = next((place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts))
+    links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
+    nav = [f"<nav>{links}</nav>"] if links else []
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    own = f"; script-src 'sha256-{digest}'" if script else ""
+    lines = [
+        "<!doctype html>",
+        '<html lang="en">',
+        '<meta charset="utf-8">',
+        _SIGNATURE,
+        # Nothing from elsewhere, and no script but the page's own.
+        f"<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'{own}\">",
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>{title}</title>",
+        f"<style>\n{style_sheet()}</style>",
+        "<body><main>",
+        f"<h1>{title}</h1>",
+        *_in_grids(parts[:first]),
+        *nav,
+        *_in_grids(parts[first:]),
+        "</main>",
+        *([f"<script>{script}</script>"] if script else []),
+        "</body></html>",
+        "",
+    ]
+    return "\n".join(lines).encode()
+
+
+def sorting_script() -> str:
+    """Return the script that sorts a table by the column that is clicked."""
+    return files("insdvl_replay.show").joinpath("sorting.js").read_text("utf-8")
+
+
+def fragment(document: Document) -> str:
+    """Render a document as a part of somebody else's page, such as a notebook, with no style of its own."""
+    titles = "".join(f"<h3>{escape(part.text)}</h3>" for part in document if isinstance(part, Title))
+    return f"<div>{titles}{''.join(_html(part) for part in document if not isinstance(part, Title))}</div>"
+
+
+def is_page(data: bytes) -> bool:
+    """Return whether a file is a page of ours."""
+    return _SIGNATURE.encode() in data[:1000]
+
+
+def escape(text: str) -> str:
+    """Write text as HTML."""
+    return html_escape(visible_lines(text))
+
+
+# --- Parts that only pages have.
+
+
+def facts(named: Mapping[str, str]) -> Html:
+    """Return facts by their names."""
+    pairs = "".join(f"<dt>{escape(name)}</dt><dd>{escape(fact)}</dd>" for name, fact in named.items())
+    return Html(f"<dl>{pairs}</dl>")
+
+
+def settings_details(settings: str) -> Html:
+    """Return the resolved configuration, folded away; on paper it is unfolded."""
+    title = "Settings, which repeat this result"
+    return Html(f"<details><summary>{title}</summary><pre>{escape(settings)}</pre></details>")
+
+
+def pictures(shown: Sequence[Panel | str], caption: str) -> Html:
+    """Return pictures in one row, each a panel, or a fragment with a title of its own."""
+    content = "\n".join(
+        f"<div>{picture}</div>" if isinstance(picture, str) else _zoomed(picture, f"first-{number}")
+        for number, picture in enumerate(shown, 1)
+    )
+    return Html(f'<div class="first">{content}</div><p class="footnote">{escape(caption)}</p>')
+
+
+# --- Parts as HTML.
+
+
+def _in_grids(parts: Sequence[Part]) -> list[str]:
+    """Render the parts one by one; tables that follow each other share a grid."""
+    lines: list[str] = []
+    in_grid = False
+    for part in parts:
+        if (isinstance(part, DisplayTable) and part.links is None and not part.folded) != in_grid:
+            in_grid = not in_grid
+            lines.append('<div class="tables">' if in_grid else "</div>")
+        lines.append(_html(part))
+    return [*lines, "</div>"] if in_grid else lines
+
+
+def _html(part: Part) -> str:
+    match part:
+        case Heading(text):
+            return f'<h2 id="{_anchor(text)}">{escape(text)}</h2>'
+        case Callout(text, tone):
+            return f'<p class="{f"lead {tone}".rstrip()}">{escape(text)}</p>'
+        case str(text) | Remark(text=text):
+            return f"<p>{escape(text)}</p>"
+        case Sentences(lines):
+            return "\n".join(map(_html, lines))
+        case DisplayTable(title, folded=True):
+            content = f'<div class="tables">{_table(part)}</div>'
+            return f'<details class="fold"><summary>{escape(title)}</summary>{content}</details>'
+        case DisplayTable():
+            return _table(part)
+        case Figure():
+            return _figure(part)
+        case Code(text):
+            return f"<pre>{escape(text)}</pre>"
+        case Html(text):
+            return text
+    raise ValueError(f"{type(part).__name__} is no part of a page's body")
+
+
+def _table(table: DisplayTable) -> str:
+    kinds = [' class="r"' if letter == "r" else "" for letter in table.alignment]
+    header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
+    rows = []
+    for row, link in zip(table.rows, table.links or [""] * len(table.rows), strict=True):
+        cells = ["<br>".join(map(escape, cell_lines(cell))) for cell in row]
+        if link:
+            cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
+        # A cell of many words is folded.
+        classes = [' class="words"' if len(cell) > _SHORT else kind for kind, cell in zip(kinds, cells, strict=True)]
+        rows.append("".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(classes, cells, strict=True)))
+    lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
+    name, colon, rest = table.title.partition(": ")
+    title = f"<h3><b>{escape(name + colon.rstrip())}</b>{' ' if rest else ''}{escape(rest)}</h3>" if name else ""
+    footnote = f'<p class="footnote">{escape(table.footnote)}</p>' if table.footnote else ""
+    return (
+        f'<section class="table">{title}<div class="wide" tabindex="0"><table>'
+        f"<thead><tr>{header}</tr></thead><tbody>{lines}</tbody></table></div>{footnote}</section>"
+    )
+
+
+def _figure(figure: Figure) -> str:
+    anchor = _anchor(figure.title)
+    legend = "".join(f"<li>{_key(style)}{escape(label)}</li>" for style, label in figure.legend)
+    panels = "\n".join(_zoomed(panel, f"{anchor}-{number}") for number, panel in enumerate(figure.panels, 1))
+    content = f'<div class="panels">{panels}</div>' if panels else '<p class="footnote">nothing to draw</p>'
+    return captioned(escape(figure.title), escape(figure.caption), content, f'<ul class="legend">{legend}</ul>')
+
+
+def captioned(title: str, caption: str, content: str, legend: str = "") -> str:
+    """Return what is drawn under its title and how it is read; all are HTML."""
+    head = f"<figcaption><strong>{title}</strong><span>{caption}</span>{legend}</figcaption>"
+    return f"<figure>{head}{content}</figure>"
+
+
+def _key(style: str) -> str:
+    """Draw what represents a style in a legend."""
+    kind, path = ("points", "M20 5h0") if style == REJECTED else ("line", "M1 5H39")
+    return f'<svg viewBox="0 0 40 10"><path class="{kind} {style}" d="{path}"/></svg>'
+
+
+def _zoomed(panel: Panel, anchor: str) -> str:
+    """Render a panel that a click shows alone, as large as the window; another leads back. No script is needed."""
+    return (
+        f'<div class="zoom{" tall" if panel.equal and not panel.low else ""}" id="{anchor}">'
+        f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel)}</a>'
+        f'<a class="close" href="#{anchor}-back">back</a><i id="{anchor}-back"></i></div>'
+    )
+
+
+def _anchor(text: str) -> str:
+    return "".join(letter if letter.isalnum() else "-" for letter in text.lower())

@@ -1,0 +1,122 @@
+"""A result in any format, and the files of its folder."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.result import (
+    PAGE,
+    Callout,
+    Document,
+    Heading,
+    Only,
+    Part,
+    Result,
+    ResultJson,
+    Title,
+    Tool,
+    as_json,
+    package_versions,
+    this_tool,
+)
+from insdvl_replay.show.document import blocks_csv, header_and_rows, losses, shown, table_csv
+from insdvl_replay.show.text import as_latex, as_markdown, sentence_of
+
+
+def render(result: Result, format_: str) -> str:
+    """Write a result as json, csv, md, latex or html."""
+    match format_:
+        case "json":
+            return result_json(result).decode()
+        case "csv":
+            return blocks_csv("table", {name: header_and_rows(table) for name, table in result.tables.items()})
+        case "md":
+            return as_markdown(document(result))
+        case "latex":
+            return as_latex(document(result))
+        case "html":
+            from insdvl_replay.show.page import page
+
+            return page(document(result)).decode()
+    raise ValueError(f"{format_} is no format")
+
+
+def document(result: Result) -> Document:
+    """Return the parts of a result in their order."""
+    if result.document:
+        return result.document
+    tables: Sequence[Part] = result.display or [
+        shown(type(table[0]), table)
+        for table in result.tables.values()
+        if isinstance(table, Sequence) and table and hasattr(table[0], "title")
+    ]
+    sentences = [Callout(part) if isinstance(part, str) else part for part in result.sentences]
+    return [
+        Title(result.title),
+        *sentences,
+        *(Heading("Pictures") for _ in list(result.figures)[:1]),
+        *result.figures.values(),
+        Heading("Tables"),
+        *tables,
+        Only(PAGE, (Heading("What was lost or assumed"), losses(result.notes), *_provenance(result))),
+    ]
+
+
+def _provenance(result: Result) -> list[Part]:
+    from insdvl_replay.show.page import facts, settings_details
+
+    asked = {
+        name: ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+        for name, value in result.arguments.items()
+    }
+    versions = ", ".join(f"{name} {version}" for name, version in package_versions().items())
+    made_by = {"tool": f"{Tool().name} {Tool().version}", "with": versions}
+    settings = [settings_details(render_toml(result.config))] if result.config else []
+    return [Heading("Provenance"), facts({**asked, **made_by}), *settings]
+
+
+def result_json(result: Result) -> bytes:
+    """Write a result as JSON, null for what is missing. The same result gives the same bytes."""
+    return as_json(
+        ResultJson(
+            tool=this_tool(),
+            versions=package_versions(),
+            kind=result.kind,
+            title=result.title,
+            arguments=dict(result.arguments),
+            facts=dict(result.facts),
+            sentences=[sentence_of(part) for part in result.sentences],
+            tables={name: _records(table) for name, table in result.tables.items()},
+            notes=list(result.notes),
+            config=msgspec.to_builtins(result.config) if result.config else {},
+        )
+    )
+
+
+def _records(table: Any) -> list[dict[str, Any]]:
+    if isinstance(table, Sequence):
+        return [msgspec.structs.asdict(row) for row in table]
+    return [{str(column): value for column, value in row.items()} for row in table.to_dict("records")]
+
+
+def save_result(result: Result, folder: Path, *, png: bool = False) -> None:
+    """Write figures, tables, settings, the page and, last, the file by which a result is known, into a folder."""
+    # Not for who asks for the schema, which must not wait for numpy.
+    from insdvl_replay.show.page import page
+    from insdvl_replay.show.plot import sheet_svg
+
+    for name, figure in result.figures.items():
+        (folder / f"{name}.svg").write_bytes(sheet_svg(figure))
+        if png:
+            from insdvl_replay.show.paper import figure_png
+
+            (folder / f"{name}.png").write_bytes(figure_png(figure))
+    for name, table in {**result.tables, **result.series}.items():
+        (folder / f"{name}.csv").write_bytes(table_csv(table))
+    if result.config is not None:
+        (folder / "config.toml").write_text(render_toml(result.config), "utf-8")
+    (folder / "report.html").write_bytes(page(document(result)))
+    (folder / "report.json").write_bytes(result_json(result))
