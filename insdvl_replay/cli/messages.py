@@ -41,7 +41,7 @@ def write_stdout(text: str, *, commands: bool = False) -> None:
 
 def log_to_stderr(text: str) -> None:
     """Report something that is not a result, on one line."""
-    with suppress(OSError):  # the exit code tells of it
+    with suppress(OSError):  # nobody is left to report to
         print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
