@@ -282,7 +282,22 @@ def _run(  # noqa: C901
     while True:
         row = timeline.record[now.event] if is_event(timeline, now) else -1
         if row >= 0:
-            _record(state, corrected, constants, P, records, row)
+            write_row_vector(state.position, records.position, row)
+            if layout.position >= 0:
+                write_row_vector(corrected, records.corrected, row)
+            write_row_vector(state.velocity_n, records.velocity_n, row)
+            write_row_matrix(state.mat_nb, records.mat_nb, row)
+            write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
+            write_row_vector(state.gyro_bias_b, records.gyro_bias_b, row)
+            for i in range(len(constants)):
+                records.constants[row, i] = constants[i]
+            # By elements: numba takes three seconds to compile the assignment of a whole array.
+            cov_row = records.cov_row[row]
+            for i in range(P.shape[0]):
+                records.sd[row, i] = math.sqrt(P[i, i])
+                if cov_row >= 0:
+                    for j in range(P.shape[0]):
+                        records.cov[cov_row, i, j] = P[i, j]
         if is_last(timeline, now):
             return
 
@@ -374,7 +389,11 @@ def _run(  # noqa: C901
                     used = used or reopened
                     updates.used[m, row], updates.reopened[m, row] = used, reopened or (is_again and used)
                     if not is_again:
-                        _record_innovation(updates, m, row, z, S, L, nis)
+                        updates.nis[m, row], log_det = nis, 0.0
+                        for i in range(size):
+                            log_det += math.log(L[i, i])
+                            updates.innovation[m, row, i], updates.sd[m, row, i] = z[i], math.sqrt(S[i, i])
+                        updates.log_det[m, row] = 2.0 * log_det
                     if not reopened:
                         break
                     open_state(P, _square(z), matrices.start_var, layout.position, updates, m, time_s)
@@ -383,7 +402,11 @@ def _run(  # noqa: C901
                 if used:
                     updates.rejected_in_a_row[m], updates.used_s[m] = 0, time_s
                     transposed_gain(HP, L, KT)
-                    _estimate(dx, KT, z, estimated)
+                    for i in range(len(dx)):
+                        estimate = KT[0, i] * z[0]
+                        for k in range(1, size):
+                            estimate += KT[k, i] * z[k]
+                        dx[i] = dx[i] + estimate if estimated else estimate
                     update_cov(P, H, R, HP, KT, rest)
                     estimated = True
                 else:
@@ -424,50 +447,10 @@ def _velocity_b(state: NavState) -> Vector:
 
 
 @inlined
-def _record(state: NavState, corrected: Vector, constants: Floats, P: Floats, records: Records, row: int) -> None:
-    write_row_vector(state.position, records.position, row)
-    if row < len(records.corrected):
-        write_row_vector(corrected, records.corrected, row)
-    write_row_vector(state.velocity_n, records.velocity_n, row)
-    write_row_matrix(state.mat_nb, records.mat_nb, row)
-    write_row_vector(state.accel_bias_b, records.accel_bias_b, row)
-    write_row_vector(state.gyro_bias_b, records.gyro_bias_b, row)
-    for i in range(len(constants)):
-        records.constants[row, i] = constants[i]
-    for i in range(P.shape[0]):
-        records.sd[row, i] = math.sqrt(P[i, i])
-    cov_row = records.cov_row[row]
-    if cov_row >= 0:
-        # By elements: numba takes three seconds to compile the assignment of a whole array.
-        for i in range(P.shape[0]):
-            for j in range(P.shape[0]):
-                records.cov[cov_row, i, j] = P[i, j]
-
-
-@inlined
 def _write_scaled(factor: float, mat: Floats, R: Floats) -> None:
     for i in range(len(R)):
         for j in range(len(R)):
             R[i, j] = factor * mat[i, j]
-
-
-@inlined
-def _record_innovation(updates: Updates, m: int, row: int, z: Floats, S: Floats, L: Floats, nis: float) -> None:
-    log_det = 0.0
-    for i in range(len(z)):
-        log_det += math.log(L[i, i])
-        updates.innovation[m, row, i], updates.sd[m, row, i] = z[i], math.sqrt(S[i, i])
-    updates.nis[m, row], updates.log_det[m, row] = nis, 2.0 * log_det
-
-
-@inlined
-def _estimate(dx: Floats, KT: Floats, z: Floats, goes_on: bool) -> None:
-    """Write the estimated errors ``K z``, or add them to those of the same reading."""
-    for i in range(len(dx)):
-        estimate = KT[0, i] * z[0]
-        for k in range(1, len(z)):
-            estimate += KT[k, i] * z[k]
-        dx[i] = dx[i] + estimate if goes_on else estimate
 
 
 @inlined
