@@ -124,19 +124,8 @@ def dvl_velocities(
 def derivative_weights(offset_s: Floats, order: int) -> Floats:
     """Return the weights that make derivatives of values, ``(L' L)^-1 L'`` with ``L_jk = offset_j^k / k!``.
 
-    Equations (10) to (17) of Levy and Klein.
-
-    Parameters
-    ----------
-    offset_s : ndarray, shape (..., n)
-        Times of the values from the time of the expansion.
-    order : int
-        Of the polynomial, below n.
-
-    Returns
-    -------
-    ndarray, shape (..., order + 1, n)
-        Row k gives the k-th derivative.
+    Equations (10) to (17) of Levy and Klein. Times of the values are from the time of the expansion, shape (..., n).
+    The order of the polynomial is below n. In the result, shape (..., order + 1, n), row k gives the k-th derivative.
     """
     if not 1 <= order < offset_s.shape[-1]:
         raise ValueError(f"order {order} needs a window above it, found {offset_s.shape[-1]}")
@@ -192,17 +181,9 @@ def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float 
 
 
 def windowed_sum(weights: Floats, values: Floats) -> Floats:
-    """Sum the values of each window with its weights: ``sum_j weights[k, j] values[k - n + 1 + j]``.
+    """Sum the values of each window with its weights: ``sum_j weights[k, j] values[k - n + 1 + j]``, shape (m, ...).
 
-    Parameters
-    ----------
-    weights : ndarray, shape (m, n)
-        Zero where the window is not complete.
-    values : ndarray, shape (m, ...)
-
-    Returns
-    -------
-    ndarray, shape (m, ...)
+    The weights, shape (m, n), are zero where the window is not complete.
     """
     n = weights.shape[1]
     total = np.zeros(values.shape)

@@ -40,7 +40,6 @@ from insdvl_replay.nav.error_model import (
 from insdvl_replay.nav.kalman import (
     ADAPTIVE,
     STUDENT_T,
-    believed_factor,
     chance_var,
     cholesky,
     correct,
@@ -48,6 +47,7 @@ from insdvl_replay.nav.kalman import (
     innovation_cov,
     normalised_square,
     outlier_factor,
+    significant_factor,
     transposed_gain,
     update_cov,
 )
@@ -467,7 +467,7 @@ def _follow_noise(m: int, share: float, z: Floats, S: Floats, R: Floats, updates
     before: float = updates.noise_factor[m]
     updates.noise_found[m] = found_factor(updates.noise_found[m], before, z, S, R, share)
     updates.noise_var[m] = chance_var(updates.noise_var[m], before, S, R)
-    updates.noise_factor[m] = believed_factor(updates.noise_found[m], updates.noise_var[m])
+    updates.noise_factor[m] = significant_factor(updates.noise_found[m], updates.noise_var[m])
     after: float = updates.noise_factor[m]
     return after / before
 

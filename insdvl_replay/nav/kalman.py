@@ -213,7 +213,7 @@ def chance_var(var: float, used: float, S: Floats, R: Floats) -> float:
 
 
 @inlined
-def believed_factor(found: float, var: float) -> float:
+def significant_factor(found: float, var: float) -> float:
     """Return the part of a factor that is more than chance."""
     excess = found - 1.0
     if excess**2 <= CHANCE_SD**2 * var:

@@ -164,16 +164,8 @@ def _walk_motion(
 def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
     """Stack ``R^(-1/2) H(t) Phi(t, t0)`` over the pings that have a measurement, shape (3 k, 12).
 
-    Equation (47) of Levy and Klein: a direction is unobservable where all these rows are zero along it.
-
-    Parameters
-    ----------
-    pings : NominalPings
-        m pings.
-    measurement : Measurement
-        Of the same pings.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
+    Equation (47) of Levy and Klein: a direction is unobservable where all these rows are zero along it. The lever arm
+    is from the IMU to the DVL, m.
     """
     rows = np.flatnonzero(measurement.available)
     H = jacobians(pings, measurement, lever_arm_b)[rows]
@@ -183,17 +175,7 @@ def whitened_rows(pings: NominalPings, measurement: Measurement, lever_arm_b: Fl
 
 
 def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats) -> Floats:
-    """Return the H of a measurement at every ping, shape (m, 3, 12); zero without a measurement.
-
-    Parameters
-    ----------
-    pings : NominalPings
-        m pings.
-    measurement : Measurement
-        Of the same pings.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
-    """
+    """Return the H of a measurement at every ping, shape (m, 3, 12); zero without a measurement."""
     H = np.zeros((len(measurement.available), 3, TWELVE))
     _write_jacobians(stacked((measurement,)), np.flatnonzero(measurement.available), pings, vector(lever_arm_b), H)
     return H
@@ -226,23 +208,12 @@ class Observability:
         return self.directions[self.rank :]
 
     def response(self, direction: Floats) -> float:
-        """Return the signal to noise of the measurements for an error in a direction.
-
-        Parameters
-        ----------
-        direction : ndarray, shape (12,)
-            In prior standard deviations, of unit length.
-        """
+        """Return the signal to noise for an error in a direction, shape (12,), of unit length in prior sd."""
         return float(np.linalg.norm(self.singular_values * (self.directions @ direction)))
 
     def left(self) -> Floats:
-        """Return the share of each state's prior standard deviation at the start that is left, shape (12,).
-
-        Process noise does not count.
-        """
-        var = 1.0 / (1.0 + self.singular_values**2)
-        share: Floats = np.sqrt(var @ self.directions**2)
-        return share
+        """Return the share of each state's prior standard deviation that is left without process noise, shape (12,)."""
+        return np.asarray(np.sqrt(1.0 / (1.0 + self.singular_values**2) @ self.directions**2))
 
 
 def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Observability:
@@ -302,12 +273,8 @@ def remaining_cov(
 
     Parameters
     ----------
-    pings : NominalPings
-        m pings.
     measurements : sequence of Measurement
         Of the same pings; applied in this order.
-    lever_arm_b : ndarray, shape (3,)
-        IMU to DVL, m.
     prior_sd : ndarray, shape (12,)
         Standard deviations of the states at the start, SI units.
     """
@@ -358,8 +325,7 @@ class ErrorDirection:
     def scaled(self, prior_sd: Floats) -> Floats:
         """Return the direction in prior standard deviations, of unit length."""
         scaled = self.error / prior_sd
-        unit: Floats = scaled / np.linalg.norm(scaled)
-        return unit
+        return np.asarray(scaled / np.linalg.norm(scaled))
 
 
 def named_directions(

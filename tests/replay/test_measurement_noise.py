@@ -11,7 +11,7 @@ from contaminated_dives import CANDIDATES, clean_dive, competitors, contaminated
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
 from insdvl_replay.core.words import Judgement
-from insdvl_replay.nav.kalman import CEILING, FLOOR, believed_factor, chance_var, found_factor, outlier_factor
+from insdvl_replay.nav.kalman import CEILING, FLOOR, chance_var, found_factor, outlier_factor, significant_factor
 from insdvl_replay.replay import replay_dive
 
 DIVES, LENGTH_S, STARTS = 5, 600.0, 8
@@ -142,7 +142,7 @@ def followed(true_var: Floats, size: int) -> Iterator[tuple[float, float]]:
         S = believed * R + PREDICTED_VAR * np.eye(size)
         found = found_factor(found, believed, z, S, believed * R, 1.0)
         chance = chance_var(chance, believed, S, believed * R)
-        believed = believed_factor(found, chance)
+        believed = significant_factor(found, chance)
         yield found, believed
 
 
