@@ -236,7 +236,7 @@ def log_digest(job: ReplayJob) -> str:
     if job.logs == (job.name,) and not job.name.is_dir():
         with job.name.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    from insdvl_replay.logs.container.recording import open_recording  # which knows the order of the parts
+    from insdvl_replay.logs.formats.recording import open_recording  # which knows the order of the parts
 
     log = open_recording(job.logs, allow_damaged=job.options.allow_damaged)
     with log.watched():

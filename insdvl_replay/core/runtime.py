@@ -29,7 +29,7 @@ Listener = Callable[[str, int, int], None]
 """Gets a stage, such as ``reading``, how many of its steps are done, and how many there are; 0 of 0 as it begins."""
 
 _MANY_OBJECTS: Final = 200_000
-_COMPILED_SOURCES: Final = ("nav/*.py", "geometry/*.py", "logs/**/*.py", "core/runtime.py", "core/states.py")
+_COMPILED_SOURCES: Final = ("nav/*.py", "geometry/*.py", "core/runtime.py", "core/states.py")
 # Nobody calls the compiled functions from C; the compiler need not make entries for it.
 _NUMBA_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
@@ -201,9 +201,3 @@ def plain(function: Callable[_P, _T]) -> Callable[_P, _T]:
 def is_compiled(function: Callable[..., Any]) -> bool:
     """Return whether compiled code can call a function of the user's."""
     return hasattr(function, "address")
-
-
-def is_loaded() -> bool:
-    """Return whether the compiler is loaded and switched on; else few numbers are read sooner without it."""
-    settings = sys.modules.get("numba.core.config")
-    return settings is not None and not getattr(settings, "DISABLE_JIT", True)

@@ -20,7 +20,7 @@ from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.probe import Candidate
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
-from insdvl_replay.logs.encoding.fields import check_path
+from insdvl_replay.logs.formats.fields import check_path
 from insdvl_replay.replay import replay_log
 
 START = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8"}

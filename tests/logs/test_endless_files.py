@@ -8,7 +8,7 @@ from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.changes.gates import load_gates
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.logs.container.recording import bag_parts, open_recording
+from insdvl_replay.logs.formats.recording import bag_parts, open_recording
 
 needs_devices = pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs /dev/zero (not Windows)")
 

@@ -1,1 +1,0 @@
-"""Names of `logs.formats` for those who still ask here."""
