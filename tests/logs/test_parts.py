@@ -93,6 +93,20 @@ def test_a_bag_that_is_not_whole_is_refused(bag: Path) -> None:
             read_dive(bag, Config())
 
 
+def test_names_in_a_list_may_be_quoted_or_json(tmp_path: Path) -> None:
+    names = ["it's.mcap", "two words.mcap"]
+    for name in names:
+        (tmp_path / name).touch()
+    for listed in (
+        "\n  - 'it''s.mcap'\n  - two words.mcap\n  duration: 3",
+        '\n    - "it\'s.mcap"\n    - "two words.mcap"',
+    ):
+        describe(tmp_path, listed)
+        assert [part.name for part in bag_parts(tmp_path)] == names
+    (tmp_path / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": {"relative_file_paths": names}}))
+    assert [part.name for part in bag_parts(tmp_path)] == names
+
+
 def test_a_part_that_is_compressed_as_a_whole_is_named(bag: Path, whole: Dive) -> None:
     packed = bag / "c.mcap.zstd"
     packed.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))

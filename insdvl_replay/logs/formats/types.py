@@ -26,7 +26,8 @@ MOST_PATHS: Final = 1 << 16  # fields of a type: real types have hundreds, and a
 MOST_LEVELS: Final = 64  # structures within structures
 LONGEST_ARRAY: Final = 2**32 - 1  # CDR counts elements in words of four bytes
 LEAVE_OUT: Final = "leave its topic out of the roles"
-_RECORDERS: Final = {"ros1msg": "`mcap convert`", "ros2msg": "`ros2 bag record --storage mcap`"}
+_ROS2_RECORDER: Final = "`ros2 bag record --storage mcap`"
+_RECORDERS: Final = {"ros1msg": "`mcap convert`", "ros2msg": _ROS2_RECORDER, "ros2idl": _ROS2_RECORDER}
 _ROS1_SYNONYMS: Final = {"byte": "int8", "char": "uint8"}
 _RULE: Final = "=" * 80
 _LINE: Final = re.compile(
@@ -56,15 +57,11 @@ def full_name(type_name: str) -> str:
 
 def record_again(language: str) -> str:
     """Return the hint for a schema that is not complete."""
-    return f"record the log again with complete schemas, as {_recorder(language)} writes them"
+    return f"record the log again with complete schemas, as {_RECORDERS[language]} writes them"
 
 
 def _only(language: str) -> str:
-    return f"schemas must be of encoding {language}, as {_recorder(language)} writes them"
-
-
-def _recorder(language: str) -> str:
-    return _RECORDERS.get(language, _RECORDERS["ros2msg"])
+    return f"schemas must be of encoding {language}, as {_RECORDERS[language]} writes them"
 
 
 @cache
