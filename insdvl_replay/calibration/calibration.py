@@ -254,7 +254,7 @@ def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, free: Mask) -> Iter
     for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
         delay = (float(delays_s[i]), float(sds_s[i])) if free[DELAY] else (None, None)
         before, after = (scatter_of(dive.residuals(free * change)) for change in (NO_CHANGE, found.change(i)))
-        axes = (tuple(values.tolist()) for values in (before, after, autocorrelation(near)))
+        axes = np.concatenate([before, after, autocorrelation(near)]).tolist()
         yield DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes)
 
 
@@ -273,7 +273,7 @@ def _doubts(
     for first, second, correlation in correlations(found, INSEPARABLE):
         yield f"{first} and {second} can hardly be told apart (correlation {correlation:+.2f})"
     for dive in dives:
-        for axis, scatter, correlation in zip(AXES, dive.after, dive.autocorrelation, strict=True):
+        for axis, scatter, correlation in zip(AXES, dive.axes("after"), dive.axes("autocorrelation"), strict=True):
             if scatter > TOO_LARGE:
                 yield (
                     f"{dive.dive}: innovations {axis} still scatter by {scatter:.1f} of their standard deviations: "

@@ -1,12 +1,11 @@
 """A calibration as a result for people and programs, as settings, and in pictures."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any, Final
 
-import msgspec
 import numpy as np
-from msgspec import Struct
 
 from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import AXES, Calibration
@@ -15,37 +14,31 @@ from insdvl_replay.calibration.fit import delay_profile
 from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, SKIPPED, DiveInnovations
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import DELAY, LABELS, PARAMETERS, SHARED, Geometry
-from insdvl_replay.calibration.rows import (
-    CalibrationResult,
-    HeldOutRow,
-    NoiseRow,
-    ParameterRow,
-    ReferenceResult,
-    ReferenceSettings,
-    Settings,
-)
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
-from insdvl_replay.core.errors import visible
-from insdvl_replay.core.words import Estimated
-from insdvl_replay.preparation.run import FIT
-from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.document import (
+from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.result import (
+    LIMIT,
+    REFERENCE,
     Callout,
+    Curve,
     DisplayTable,
+    Figure,
     Heading,
+    Panel,
     Part,
     Remark,
+    Result,
     Sentences,
     Title,
-    counted,
-    number,
-    table_of,
+    filter_style,
 )
-from insdvl_replay.report.plots.panel import LIMIT, REFERENCE, Curve, Figure, Panel, filter_style
-from insdvl_replay.results.filter_figures import Clock
-from insdvl_replay.results.json_report import as_json, package_versions, this_tool
+from insdvl_replay.core.words import Estimated
+from insdvl_replay.preparation.run import FIT
+from insdvl_replay.show.document import counted, number, table_of
+from insdvl_replay.show.figures import Clock
 
 KEYS: Final = {
     "latency_s": ("delay", "reference_clock"),
@@ -54,79 +47,48 @@ KEYS: Final = {
     "scale": ("scale",),
 }
 """Key in ``[dvl]`` and ``[reference]``, and the groups of parameters that it holds."""
-DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
+DIGITS: Final = 6
+"""Decimals that are proposed; none of the numbers is known so well."""
 _GROUPS: Final = {parameter.name: parameter.group for parameter in SHARED}
 
 
-def calibration_document(found: Calibration, written: str = "", figures: Sequence[Figure] = ()) -> list[Part]:
+def calibration_result(found: Calibration, config: Config, written: str = "", figures: Sequence[Figure] = ()) -> Result:
     """Return what is proposed, what it rests on, and what speaks against it; ``written`` is the file of settings."""
-    is_found = bool(found.estimated) or found.proposes_noise
+    reference, is_found = found.reference, bool(found.estimated) or found.proposes_noise
     names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
     nothing = "Nothing could be estimated: these dives hold no manoeuvre that would show it."
     headline = f"Estimated: {', '.join(names)}." if is_found else nothing
     callout = Callout(headline, "good" if found.estimated and not found.doubts else "bad")
     reasons = [*_reasons(found), *map(Remark, found.doubts)]
-    parts: list[Part] = [Title(f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"), callout]
+    title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
+    parts: list[Part] = [Title(title), callout]
     parts += [f"The mounting was not known: {found.tried}."] if found.tried else []
     parts += _tables(found)
     parts += [Sentences(tuple(reasons))] if reasons else []
     if written and is_found:
         parts.append(f"Nothing is applied by itself: `insdvl-replay run LOG -c ... -c {written}` uses it.")
-    return [*parts, Heading("Pictures"), *figures] if figures else parts
-
-
-def calibration_json(found: Calibration, config: Config) -> bytes:
-    """Write a calibration as JSON. The same dives give the same bytes."""
-    reference, of_reference = None, found.reference
-    if of_reference is not None:
-        before, after = (
-            ReferenceSettings(settings.latency_s, settings.lever_arm_m, settings.mounting_rpy_deg)
-            for settings in (of_reference.before, of_reference.after)
-        )
-        rows, dives, starts = list(of_reference.rows), list(of_reference.dives), list(of_reference.starts)
-        reference = ReferenceResult(before, after, rows, dives, starts)
-    return as_json(
-        CalibrationResult(
-            this_tool(),
-            package_versions(),
-            Settings(**msgspec.structs.asdict(found.before)),
-            Settings(**msgspec.structs.asdict(found.after)),
-            list(found.rows),
-            list(found.noise_rows),
-            list(found.dives),
-            list(found.held_out),
-            reference,
-            list(found.doubts),
-            msgspec.to_builtins(config),
-        )
-    )
-
-
-def calibration_csv(found: Calibration) -> str:
-    """Write the tables one after the other; each axis has a column of its own."""
-    reference = found.reference
-    tables: dict[str, Sequence[Struct]] = {
+    parts += [Heading("Pictures"), *figures] if figures else []
+    tables = {
         "parameters": found.all_rows,
         "noise": found.noise_rows,
         "dives": found.dives,
         "held_out": found.held_out,
-        "reference": () if reference is None else reference.dives,
-        "starts": () if reference is None else reference.starts,
+        "reference": reference.dives if reference else (),
+        "starts": reference.starts if reference else (),
     }
-    blocks = {}
-    for name, rows in tables.items():
-        records: list[dict[str, Any]] = []
-        for row in rows:
-            record: dict[str, Any] = {}
-            for column, value in msgspec.structs.asdict(row).items():
-                if isinstance(value, tuple):
-                    record |= zip((f"{column}_{axis}" for axis in "xyz"), value, strict=True)
-                else:
-                    record[column] = value
-            records.append(record)
-        if records:
-            blocks[name] = (list(records[0]), [tuple(record.values()) for record in records])
-    return blocks_csv("table", blocks)
+    facts: dict[str, Any] = {"before": {"dvl": found.before}, "after": {"dvl": found.after}, "doubts": found.doubts}
+    if reference:
+        for name, settings in (("before", reference.before), ("after", reference.after)):
+            facts[name]["reference"] = {key: getattr(settings, key) for key in KEYS if key != "scale"}
+    return Result(
+        "calibration",
+        title,
+        [callout, *reasons],
+        {name: rows for name, rows in tables.items() if rows},
+        config=config,
+        facts=facts,
+        document=parts,
+    )
 
 
 def _reasons(found: Calibration) -> Iterator[Remark]:
@@ -156,10 +118,10 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
         found.noise_rows,
         (
             ("noise", "l", lambda row: f"{row.parameter} [{row.unit}]"),
-            ("before", "r", _shown("before")),
+            ("before", "r", "before"),
             ("after", "r", _noise_after),
-            ("sd", "r", _shown("sd")),
-            ("class", "l", _shown("sensor_class")),
+            ("sd", "r", "sd"),
+            ("class", "l", "sensor_class"),
         ),
         "" if is_asked else "It was not asked for, and only weighs.",
     )
@@ -167,13 +129,13 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
         f"Innovations in standard deviations of the noise that was fitted, {', '.join(AXES)}",
         found.dives,
         (
-            ("dive", "l", _shown("dive")),
-            ("pings", "r", _shown("pings")),
-            ("left\nout", "r", _shown("left_out")),
-            ("delay\n[s]", "r", _shown("delay_s")),
-            ("before", "r", lambda row: _axes(row.before)),
-            ("after", "r", lambda row: _axes(row.after)),
-            ("alike", "r", lambda row: _axes(row.autocorrelation)),
+            ("dive", "l", "dive"),
+            ("pings", "r", "pings"),
+            ("left\nout", "r", "left_out"),
+            ("delay\n[s]", "r", "delay_s"),
+            ("before", "r", partial(_axes, "before")),
+            ("after", "r", partial(_axes, "after")),
+            ("alike", "r", partial(_axes, "autocorrelation")),
         ),
         "1 is what a filter expects that knows its noise; neighbours are alike by 0 where nothing is left to find.",
     )
@@ -183,14 +145,14 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
             "Beside the reference, before and after: what velocities, or ways of 10 s, differ by, and the track",
             found.reference.dives,
             (
-                ("dive", "l", _shown("dive")),
-                ("rows", "r", _shown("rows")),
+                ("dive", "l", "dive"),
+                ("rows", "r", "rows"),
                 ("rms before", "r", lambda row: f"{number(row.rms_before)} {row.unit}"),
                 ("after", "r", lambda row: f"{number(row.rms_after)} {row.unit}"),
-                ("scale before\n[%]", "r", _shown("track_scale_before_pct")),
-                ("after\n[%]", "r", _shown("track_scale_after_pct")),
-                ("turn before\n[deg]", "r", _shown("track_turn_before_deg")),
-                ("after\n[deg]", "r", _shown("track_turn_after_deg")),
+                ("scale before\n[%]", "r", "track_scale_before_pct"),
+                ("after\n[%]", "r", "track_scale_after_pct"),
+                ("turn before\n[deg]", "r", "track_turn_before_deg"),
+                ("after\n[deg]", "r", "track_turn_after_deg"),
             ),
             "Scale and turn would lay the filter's track on the reference's; the turn holds what the heading drifted "
             "by.",
@@ -200,11 +162,11 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
                 "Starts by the tracks of positions, with the DVL as it is proposed",
                 found.reference.starts,
                 (
-                    ("dive", "l", _shown("dive")),
-                    ("heading\n[deg]", "r", _shown("heading_deg")),
-                    ("sd", "r", _shown("heading_sd_deg")),
-                    ("gyro bias\n[deg/h]", "r", _shown("gyro_bias_degph")),
-                    ("sd", "r", _shown("gyro_bias_sd_degph")),
+                    ("dive", "l", "dive"),
+                    ("heading\n[deg]", "r", "heading_deg"),
+                    ("sd", "r", "heading_sd_deg"),
+                    ("gyro bias\n[deg/h]", "r", "gyro_bias_degph"),
+                    ("sd", "r", "gyro_bias_sd_degph"),
                 ),
                 'initial.heading_deg = "fit" finds them anew for each dive.',
             )
@@ -213,13 +175,13 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
             "Dives that were not fitted: NIS / dof, and drift in 60 s without velocities",
             found.held_out,
             (
-                ("dive", "l", _shown("dive")),
-                ("NIS before", "r", _shown("nis_per_dof_before")),
-                ("after", "r", _shown("nis_per_dof_after")),
-                ("with\nnoise", "r", _shown("nis_per_dof_noise")),
-                ("windows", "r", _shown("windows")),
-                ("drift before\n[m]", "r", _shown("drift_before_m")),
-                ("after\n[m]", "r", _shown("drift_after_m")),
+                ("dive", "l", "dive"),
+                ("NIS before", "r", "nis_per_dof_before"),
+                ("after", "r", "nis_per_dof_after"),
+                ("with\nnoise", "r", "nis_per_dof_noise"),
+                ("windows", "r", "windows"),
+                ("drift before\n[m]", "r", "drift_before_m"),
+                ("after\n[m]", "r", "drift_after_m"),
             ),
         )
 
@@ -231,11 +193,11 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
         (
             ("parameter", "l", lambda row: f"{LABELS[row.parameter]} [{row.unit}]"),
             ("change", "r", _change),
-            ("sd", "r", _shown("sd")),
-            ("formal", "r", _shown("formal_sd")),
-            ("corre-\nlated", "r", _shown("correlated_sd")),
-            ("between\ndives", "r", _shown("between_dives_sd")),
-            ("signal /\nnoise", "r", _shown("signal_to_noise")),
+            ("sd", "r", "sd"),
+            ("formal", "r", "formal_sd"),
+            ("corre-\nlated", "r", "correlated_sd"),
+            ("between\ndives", "r", "between_dives_sd"),
+            ("signal /\nnoise", "r", "signal_to_noise"),
         ),
         "The sd is the largest of the three, with what beams (each 0.2 % and 1 mm/s) and the IMU (1500 ppm and "
         "1 mrad) may be off by. What is below a signal to noise of 3 (mounting: 4, scale: 30) is held.",
@@ -249,18 +211,8 @@ def _change(row: ParameterRow) -> str:
     return f"{sign}{number(abs(row.change))}{doubt}"
 
 
-def _axes(values: tuple[float, float, float]) -> str:
-    return " ".join(f"{value:.2f}" for value in values)
-
-
-def _shown(column: str) -> Callable[[Any], str]:
-    """Return what writes the value of a column."""
-
-    def text(row: Any) -> str:
-        value = getattr(row, column)
-        return number(value) if value is None or isinstance(value, float) else str(value)
-
-    return text
+def _axes(name: str, row: DiveRow) -> str:
+    return " ".join(f"{value:.2f}" for value in row.axes(name))
 
 
 def _noise_after(row: NoiseRow) -> str:
@@ -339,11 +291,13 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
 
 # --- The pictures.
 
-DRAWN: Final = 6  # dives whose course is drawn; the tables have all of them
+DRAWN: Final = 6
+"""Dives whose course is drawn; the tables have all of them."""
 BEFORE, AFTER = filter_style(1), filter_style(0)
 _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
-_SHARE: Final = 0.995  # of the innovations so many are inside a panel: wild ones would flatten the rest
+_SHARE: Final = 0.995
+"""Of the innovations so many are inside a panel: wild ones would flatten the rest."""
 _AIR: Final = 1.2
 _CAPTION: Final = (
     "Predicted minus measured velocity, in its own standard deviation. What is left should have no pattern."

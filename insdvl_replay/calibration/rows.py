@@ -1,12 +1,11 @@
-"""The rows of a calibration, as JSON and CSV have them."""
+"""The tables of a calibration."""
 
-from typing import Annotated, Any
+from typing import Annotated, Final
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.table import Number
+from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.results.json_report import Tool
 
 
 class ParameterRow(Struct, frozen=True):
@@ -16,9 +15,7 @@ class ParameterRow(Struct, frozen=True):
     unit: str
     change: Annotated[Number, Meta(description="from what the configuration says; null where nothing was asked")] = None
     formal_sd: Number = None
-    correlated_sd: Annotated[Number, Meta(description="with the correlation of the innovations (Newey and West)")] = (
-        None
-    )
+    correlated_sd: Annotated[Number, Meta(description="with the correlation of the innovations")] = None
     between_dives_sd: Annotated[Number, Meta(description="of the mean over dives; null of one dive")] = None
     beams_sd: Annotated[Number, Meta(description="what beams may be off by, each by 0.2 % and 1 mm/s")] = None
     imu_sd: Annotated[Number, Meta(description="what is left of IMU scale, 1500 ppm, and misalignment, 1 mrad")] = None
@@ -56,13 +53,23 @@ class DiveRow(Struct, frozen=True):
     left_out: Annotated[int, Meta(description="pings far from their neighbours, which no vehicle could have followed")]
     delay_s: Number
     delay_sd_s: Number
-    before: Annotated[tuple[float, float, float], Meta(description="scatter by axis, forward, starboard, down")]
-    after: tuple[float, float, float]
-    autocorrelation: Annotated[tuple[float, float, float], Meta(description="of neighbours, after")]
+    before_x: Annotated[float, Meta(description="scatter by axis, forward, starboard, down")]
+    before_y: float
+    before_z: float
+    after_x: float
+    after_y: float
+    after_z: float
+    autocorrelation_x: Annotated[float, Meta(description="of neighbours, after")]
+    autocorrelation_y: float
+    autocorrelation_z: float
+
+    def axes(self, name: str) -> list[float]:
+        """Return ``before``, ``after`` or ``autocorrelation`` of the three axes."""
+        return [getattr(self, f"{name}_{axis}") for axis in "xyz"]
 
 
 class HeldOutRow(Struct, frozen=True):
-    """One dive that was not fitted: its innovations, and how far it coasts, before and after."""
+    """One dive that was not fitted: its innovations, and how far it drifts, before and after."""
 
     dive: str
     nis_per_dof_before: Number
@@ -101,44 +108,11 @@ class StartRow(Struct, frozen=True):
     gyro_bias_sd_degph: float
 
 
-class Settings(Struct, frozen=True):
-    """The keys of ``[dvl]`` that are calibrated."""
-
-    latency_s: float
-    lever_arm_m: tuple[float, float, float]
-    mounting_rpy_deg: tuple[float, float, float]
-    scale: float
-
-
-class ReferenceSettings(Struct, frozen=True):
-    """The keys of ``[reference]`` that are calibrated."""
-
-    latency_s: float
-    lever_arm_m: tuple[float, float, float]
-    mounting_rpy_deg: tuple[float, float, float]
-
-
-class ReferenceResult(Struct, frozen=True):
-    """What `calibrate --reference` adds."""
-
-    before: Annotated[ReferenceSettings, Meta(description="what the configuration says, of [reference]")]
-    after: Annotated[ReferenceSettings, Meta(description="what is proposed")]
-    parameters: list[ParameterRow]
-    dives: list[ReferenceDiveRow]
-    starts: Annotated[list[StartRow], Meta(description="of dives whose reference has positions and no attitude")]
-
-
-class CalibrationResult(Struct, frozen=True):
-    """What `calibrate --format json` prints."""
-
-    tool: Tool
-    versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
-    before: Annotated[Settings, Meta(description="what the configuration says, of [dvl]")]
-    after: Annotated[Settings, Meta(description="what is proposed")]
-    parameters: list[ParameterRow]
-    noise: Annotated[list[NoiseRow], Meta(description="by which the innovations are weighed")]
-    dives: list[DiveRow]
-    held_out: Annotated[list[HeldOutRow], Meta(description="dives that were not fitted")]
-    reference: Annotated[ReferenceResult | None, Meta(description="null without --reference")]
-    doubts: Annotated[list[str], Meta(description="what speaks against believing it")]
-    config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
+TABLES: Final[dict[str, type[Struct]]] = {
+    "parameters": ParameterRow,
+    "noise": NoiseRow,
+    "dives": DiveRow,
+    "held_out": HeldOutRow,
+    "reference": ReferenceDiveRow,
+    "starts": StartRow,
+}

@@ -8,16 +8,24 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli import options as opt
+from insdvl_replay.cli.options import (
+    AllowCode,
+    AllowDamaged,
+    Color,
+    Colored,
+    ConfigFiles,
+    Force,
+    Format,
+    Logs,
+    OneDive,
+    Preset,
+    Settings,
+    Verbose,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config
-    from insdvl_replay.core.dive_columns import Dive
-    from insdvl_replay.core.errors import Note
-    from insdvl_replay.preparation.prepared import Prepared
 
 
 class Delays(StrEnum):
@@ -35,16 +43,16 @@ class Mounting(StrEnum):
 
 
 def calibrate(
-    logs: opt.Logs,
+    logs: Logs,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write what is found as settings for -c.")
     ] = None,
     page_file: Annotated[
         Path | None, typer.Option("--page", metavar="FILE", help="Write it with pictures as one HTML page.")
     ] = None,
-    config: opt.ConfigFiles = [],  # noqa: B006
-    preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    config: ConfigFiles = [],  # noqa: B006
+    preset: Preset = None,
+    settings: Settings = [],  # noqa: B006
     only: Annotated[
         str | None,
         typer.Option(
@@ -64,13 +72,13 @@ def calibrate(
             "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
         ),
     ] = [],  # noqa: B006
-    format_: Annotated[opt.Format, typer.Option("--format", help="How it is printed.")] = opt.Format.TABLE,
-    allow_damaged: opt.AllowDamaged = False,
-    allow_code: opt.AllowCode = False,
-    one_dive: opt.OneDive = False,
-    force: opt.Force = False,
-    verbose: opt.Verbose = 0,
-    color: opt.Colored = opt.Color.AUTO,
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    allow_damaged: AllowDamaged = False,
+    allow_code: AllowCode = False,
+    one_dive: OneDive = False,
+    force: Force = False,
+    verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Estimate where the DVL sits, how it is turned, how late and how long it reads, and how noisy the sensors are.
 
@@ -89,25 +97,24 @@ def calibrate(
     from insdvl_replay.calibration.calibration import calibrate as calibrated
     from insdvl_replay.calibration.calibration import held_out_row
     from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
-    from insdvl_replay.calibration.output import (
-        calibration_csv,
-        calibration_document,
-        calibration_figures,
-        calibration_json,
-        calibration_toml,
-    )
-    from insdvl_replay.calibration.parameters import Geometry
+    from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
+    from insdvl_replay.calibration.parameters import ALL_GROUPS, REFERENCE_GROUPS, Geometry
     from insdvl_replay.calibration.reference import with_reference
-    from insdvl_replay.cli.messages import log_notes, write_stdout
-    from insdvl_replay.cli.screen import compiling, in_format, steps_bar
+    from insdvl_replay.cli.messages import log_notes, log_to_stderr, write_stdout
+    from insdvl_replay.cli.screen import compiling, steps_bar, written
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.core.errors import LogError
+    from insdvl_replay.core.errors import ConfigError, LogError, require_known
     from insdvl_replay.core.runtime import track_progress
-    from insdvl_replay.report.page import page
-    from insdvl_replay.results.folder import require_replaceable_file
+    from insdvl_replay.results.folder import require_replaceable_file, result_file
+    from insdvl_replay.show.render import render
 
     resolved = load_config(preset, config, settings, allow_code=allow_code)
-    groups = _groups(only, reference=reference)
+    known_groups = REFERENCE_GROUPS if reference else ALL_GROUPS
+    groups = known_groups if only is None else tuple(name.strip() for name in only.split(",") if name.strip())
+    for name in groups:
+        require_known("--only", name, known_groups)
+    if not groups:
+        raise ConfigError("--only names nothing", f"of {', '.join(known_groups)}, with commas")
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
@@ -127,65 +134,30 @@ def calibrate(
         noise = found.noise if found.proposes_noise else None
         others = [held_out_row(dive, found.change, noise) for dive in track_progress("trying it on other dives", held)]
         found = replace(found, held_out=tuple(others))
-    for read, of_one in zip(kept, asked, strict=True):
-        log_notes(_of_dive(read.dive, of_one.prepared), verbose=verbose > 0)
-    write_stdout(
-        in_format(
-            format_,
-            document=lambda: calibration_document(found, _named(output)),
-            json=lambda: calibration_json(found, resolved),
-            csv=lambda: calibration_csv(found),
-        )
-    )
-    pages = {page_file: lambda: page(calibration_document(found, _named(output), calibration_figures(found, asked)))}
-    started_ns = [of_one.prepared.alignment.start_ns for of_one in asked]
+    for read, prepared in zip(kept, (dive.prepared for dive in asked), strict=True):
+        notes = (*read.dive.notes, *prepared.notes)
+        log_notes([replace(note, text=f"{read.dive.name}: {note.text}") for note in notes], verbose=verbose > 0)
+    settings_file = "" if output is None else str(output)
+    write_stdout(written(calibration_result(found, resolved, settings_file), format_))
+    # Both files, or, if the work is interrupted, none.
     is_found = bool(found.estimated) or found.proposes_noise
-    settings_files = {output: lambda: calibration_toml(found, started_ns).encode()} if is_found else {}
-    _write_together(pages | settings_files, force=force)
+    contents: dict[Path, str] = {}
+    if page_file is not None:
+        figures = calibration_figures(found, asked)
+        contents[page_file] = render(calibration_result(found, resolved, settings_file, figures), "html")
+    if output is not None and is_found:
+        contents[output] = calibration_toml(found, [dive.prepared.alignment.start_ns for dive in asked])
+    with ExitStack() as stack:
+        for file, content in contents.items():
+            stack.enter_context(result_file(file, force=force)).write_text(content, "utf-8")
+    for file in contents:
+        log_to_stderr(f"wrote {file}")
     if not is_found:
         raise LogError(
             "nothing could be estimated from these dives",
             "record turns at speed, changes of speed, rolling and pitching, and calibrate by those",
         )
     return failed
-
-
-def _of_dive(dive: "Dive", prepared: "Prepared") -> "Iterator[Note]":
-    """Name the dive in its notes."""
-    for note in (*dive.notes, *prepared.notes):
-        yield replace(note, text=f"{dive.name}: {note.text}")
-
-
-def _write_together(contents: "Mapping[Path | None, Callable[[], bytes]]", *, force: bool) -> None:
-    """Write all files that have a name, or, if the work is interrupted, none."""
-    from insdvl_replay.cli.messages import log_to_stderr
-    from insdvl_replay.results.folder import result_file
-
-    wanted = {file: content() for file, content in contents.items() if file is not None}
-    with ExitStack() as stack:
-        for file, content in wanted.items():
-            stack.enter_context(result_file(file, force=force)).write_bytes(content)
-    for file in wanted:
-        log_to_stderr(f"wrote {file}")
-
-
-def _named(file: Path | None) -> str:
-    return "" if file is None else str(file)
-
-
-def _groups(only: str | None, *, reference: bool) -> tuple[str, ...]:
-    from insdvl_replay.calibration.parameters import ALL_GROUPS, REFERENCE_GROUPS
-    from insdvl_replay.core.errors import ConfigError, require_known
-
-    known = REFERENCE_GROUPS if reference else ALL_GROUPS
-    if only is None:
-        return known
-    names = tuple(name.strip() for name in only.split(",") if name.strip())
-    for name in names:
-        require_known("--only", name, known)
-    if not names:
-        raise ConfigError("--only names nothing", f"of {', '.join(known)}, with commas")
-    return names
 
 
 def _read(

@@ -6,8 +6,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
+from insdvl_replay.cli.options import (
+    Color,
+    Colored,
+    ConfigFiles,
+    Force,
+    Format,
+    Logs,
+    OneDive,
+    Preset,
+    Settings,
+    Verbose,
+)
 
 if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
@@ -15,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def inspect(
-    logs: opt.Logs,
+    logs: Logs,
     deep: Annotated[
         bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
     ] = False,
@@ -23,17 +34,17 @@ def inspect(
         Path | None,
         typer.Option("--propose", metavar="FILE", help="Write settings with which to run these dives; looks deep."),
     ] = None,
-    config: opt.ConfigFiles = [],  # noqa: B006
-    preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
-    format_: Annotated[opt.Format, typer.Option("--format", help="How it is printed.")] = opt.Format.TABLE,
+    config: ConfigFiles = [],  # noqa: B006
+    preset: Preset = None,
+    settings: Settings = [],  # noqa: B006
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
     ] = False,
-    one_dive: opt.OneDive = False,
-    force: opt.Force = False,
-    verbose: opt.Verbose = 0,
-    color: opt.Colored = opt.Color.AUTO,
+    one_dive: OneDive = False,
+    force: Force = False,
+    verbose: Verbose = 0,
+    color: Colored = Color.AUTO,
 ) -> int:
     """Say what is in a log, which topics a replay would use and why, and what would stop it.
 
@@ -50,8 +61,9 @@ def inspect(
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.cli.screen import spinner
+    from insdvl_replay.cli.screen import spinner, written
     from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.inspection.inventory import inspection_result, inventory_csv
     from insdvl_replay.inspection.survey import inspect_log
     from insdvl_replay.results.folder import require_replaceable_file
     from insdvl_replay.results.json_report import as_json
@@ -73,11 +85,13 @@ def inspect(
         except Exception as error:
             code = max(code, log_failure(error, verbose))
             continue
-        if format_ is not opt.Format.JSON:
-            _print(inventory, format_, is_first=not inventories)
+        if format_ is not Format.JSON:
+            is_csv, space = format_ is Format.CSV, "\n" if inventories else ""
+            text = inventory_csv(inventory) if is_csv else written(inspection_result(inventory), format_)
+            write_stdout(space + text)
         inventories.append(inventory)
         inspected.append(dive)
-    if format_ is opt.Format.JSON:
+    if format_ is Format.JSON:
         for content in [inventories] if len(dives) > 1 else inventories:
             write_stdout(as_json(content).decode())
     if propose is not None and inspected:
@@ -106,17 +120,3 @@ def _propose(
         log_to_stderr(f"to decide in it: {', '.join(proposed.decisions)}")
     if proposed.missing:
         log_to_stderr(f"without a value in it: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
-
-
-def _print(inventory: "Inventory", format_: opt.Format, *, is_first: bool) -> None:
-    from insdvl_replay.cli.screen import in_format
-    from insdvl_replay.inspection.inventory import inventory_csv, inventory_document
-    from insdvl_replay.results.json_report import as_json
-
-    text = in_format(
-        format_,
-        document=lambda: inventory_document(inventory),
-        json=lambda: as_json(inventory),
-        csv=lambda: inventory_csv(inventory),
-    )
-    write_stdout(("" if is_first else "\n") + text)

@@ -12,21 +12,9 @@ import msgspec
 
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import Note, listed
+from insdvl_replay.core.result import CellText, Code, DisplayTable, Only, Part, Remark, Result, Sentences, Title
 from insdvl_replay.core.words import Reading
-from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.document import (
-    MISSING,
-    CellText,
-    Code,
-    DisplayTable,
-    Only,
-    Part,
-    Remark,
-    Sentences,
-    Title,
-    number,
-    table_of,
-)
+from insdvl_replay.show.document import MISSING, blocks_csv, number, table_of
 
 
 @dataclass(frozen=True)
@@ -129,26 +117,29 @@ class Inventory:
 # --- For people, and for scripts.
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1, "B"))
-_FOLDED: Final = 16  # letters of a type's name that a narrow terminal folds before it leaves out a column
-_MOST_TOPICS: Final = 100  # more are folded: recorders that write each field of each message as a topic make thousands
+_FOLDED: Final = 16
+"""Letters of a type's name that a narrow terminal folds before it leaves out a column."""
+_MOST_TOPICS: Final = 100
+"""More are folded: recorders that write each field of each message as a topic make thousands."""
 _LEAST_FOLDED: Final = 4
 _MOST_EMPTY: Final = 40
 _PROPOSAL: Final = "To start from, as a file for -c; the comments say what was seen and what is to decide:"
 
 
-def inventory_document(inventory: Inventory) -> list[Part]:
+def inspection_result(inventory: Inventory) -> Result:
     """Lay out an inventory; on a terminal, where the first sentence names the log, it needs no title."""
     proposal: list[Part] = []
     if inventory.configuration:
         open_points = Sentences(tuple(_open_points(inventory)))
         proposal = [Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), open_points]
-    return [
+    parts: list[Part] = [
         Only(("markdown", "latex", "html"), (Title(inventory.log.name),)),
         *_opening(inventory),
         *inventory_tables(inventory),
         Sentences(tuple(_findings(inventory))),
         Only(("terminal", "markdown"), tuple(proposal)),
     ]
+    return Result("inspection", inventory.log.name, document=parts, data=inventory)
 
 
 def inventory_csv(inventory: Inventory) -> str:
@@ -195,9 +186,9 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
         "Roles",
         inventory.roles,
         (
-            ("role", "l", lambda role: role.role),
+            ("role", "l", "role"),
             ("topic", "l", lambda role: role.topic or MISSING),
-            ("why", "l", lambda role: role.reason),
+            ("why", "l", "reason"),
         ),
     )
     conventions = DisplayTable(
@@ -224,14 +215,14 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
         "Clocks: log time minus stamp, by the first messages",
         inventory.clocks,
         (
-            ("topic", "l", lambda clock: clock.topic),
-            ("stamp", "l", lambda clock: clock.stamp),
+            ("topic", "l", "topic"),
+            ("stamp", "l", "stamp"),
             ("first", "r", lambda clock: "all" if clock.messages == messages.get(clock.topic) else str(clock.messages)),
-            ("median\n[s]", "r", lambda clock: number(clock.log_minus_stamp_s)),
-            ("spread\n[s]", "r", lambda clock: number(clock.spread_s)),
-            ("back\nsteps", "r", lambda clock: str(clock.back_steps)),
-            ("repeats", "r", lambda clock: str(clock.repeats)),
-            ("rate\n[Hz]", "r", lambda clock: number(clock.rate_hz)),
+            ("median\n[s]", "r", "log_minus_stamp_s"),
+            ("spread\n[s]", "r", "spread_s"),
+            ("back\nsteps", "r", "back_steps"),
+            ("repeats", "r", "repeats"),
+            ("rate\n[Hz]", "r", "rate_hz"),
         ),
         spare=(2, 6, 5, 7, 4),
     )

@@ -11,9 +11,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from insdvl_replay.calibration.rows import CalibrationResult
+from insdvl_replay.calibration.parameters import Geometry
+from insdvl_replay.calibration.rows import TABLES
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.words import Estimated
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +57,13 @@ def test_later_settings_lie_over_earlier_ones(tmp_path: Path) -> None:
 
 def test_json_has_what_the_schema_describes(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line([*calibrate(dives, "dive_1", "dive_2"), "--hold-out", "0.5", "--format", "json"]) == 0
-    result = msgspec.json.decode(capsys.readouterr().out, type=CalibrationResult)
-    assert [row.dive for row in result.dives] == ["dive_1"]
-    assert [row.dive for row in result.held_out] == ["dive_2"]
-    assert {row.parameter: row.status.value for row in result.parameters}["arm_x"] == "estimated"
-    assert result.config["dvl"]["scale"] == 1.0
+    result = json.loads(capsys.readouterr().out)
+    tables = {name: msgspec.convert(rows, list[TABLES[name]]) for name, rows in result["tables"].items()}  # type: ignore[misc]
+    assert tables.keys() == {"parameters", "noise", "dives", "held_out"}
+    assert [row.dive for row in tables["dives"]] == ["dive_1"]
+    assert [row.dive for row in tables["held_out"]] == ["dive_2"]
+    assert {row.parameter: row.status for row in tables["parameters"]}["arm_x"] == Estimated.ESTIMATED
+    assert result["config"]["dvl"]["scale"] == 1.0
 
 
 def test_csv_has_a_column_for_each_axis(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,7 +98,7 @@ def test_a_dive_that_cannot_be_used_does_not_stop_the_others(
     command = [*calibrate(dives, "dive_1"), str(broken), "--format", "json"]
     assert run_command_line(command) == 3
     out, err = capsys.readouterr()
-    assert len(json.loads(out)["dives"]) == 1
+    assert len(json.loads(out)["tables"]["dives"]) == 1
     assert "broken.mcap: " in err
     assert run_command_line(["calibrate", str(broken)]) == 3
     assert capsys.readouterr().err.count("error:") == 1
@@ -143,8 +147,8 @@ def test_dives_of_the_same_name_are_held_out_one_by_one(
         logs[-1].write_bytes((dives / f"{name}.mcap").read_bytes())
     command = ["calibrate", *map(str, logs), "--preset", "fog", "--hold-out", "0.5", "--format", "json"]
     assert run_command_line(command) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert (len(result["dives"]), len(result["held_out"])) == (1, 1)
+    tables = json.loads(capsys.readouterr().out)["tables"]
+    assert (len(tables["dives"]), len(tables["held_out"])) == (1, 1)
 
 
 STOPPED_WHILE_FITTING = """
@@ -220,10 +224,10 @@ def test_all_eight_are_shown_and_found_by_the_dive_that_is_made_for_it(
     assert run_command_line(["simulate", "calibration", "--seed", "7301", "-o", log, *put_in]) == 0
     capsys.readouterr()
     assert run_command_line(["calibrate", log, "--format", "json"]) == 0
-    result = msgspec.json.decode(capsys.readouterr().out, type=CalibrationResult)
-    assert {row.status.value for row in result.parameters} == {"estimated"}
-    sd = {row.parameter: row.sd for row in result.parameters}
-    found = result.after
+    result = json.loads(capsys.readouterr().out)
+    assert {row["status"] for row in result["tables"]["parameters"]} == {"estimated"}
+    sd = {row["parameter"]: row["sd"] for row in result["tables"]["parameters"]}
+    found = msgspec.convert(result["facts"]["after"]["dvl"], Geometry)
     for axis, value, truth in zip("xyz", found.lever_arm_m, (0.3, -0.1, 0.2), strict=True):
         assert value == pytest.approx(truth, abs=3.0 * sd[f"arm_{axis}"])
     for axis, value, truth in zip("xyz", found.mounting_rpy_deg, (0.5, -0.5, 1.5), strict=True):

@@ -11,13 +11,13 @@ from built_in import ReadDive, built_in_otherwise
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.fit import scatter_of
-from insdvl_replay.calibration.output import DRAWN, calibration_document, calibration_figures
+from insdvl_replay.calibration.output import DRAWN, calibration_figures, calibration_result
 from insdvl_replay.calibration.parameters import LABELS
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.result import Figure
 from insdvl_replay.core.table import finite
-from insdvl_replay.report.page import page
-from insdvl_replay.report.plots.panel import Figure
+from insdvl_replay.show.render import render
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +39,8 @@ def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadD
     first, second, delays, between = drawn(found, dives).values()
     for figure, row in zip((first, second), found.dives, strict=True):
         before, after = (np.column_stack([panel.curves[i].y for panel in figure.panels]) for i in (0, 1))
-        assert scatter_of(before) == pytest.approx(row.before)
-        assert scatter_of(after) == pytest.approx(row.after)
+        assert scatter_of(before) == pytest.approx(row.axes("before"))
+        assert scatter_of(after) == pytest.approx(row.axes("after"))
     for panel, row in zip(delays.panels, found.dives, strict=True):
         cost, as_fitted = panel.curves
         assert as_fitted.x[0] == pytest.approx(row.delay_s)
@@ -98,7 +98,8 @@ def test_a_page_is_written_and_never_over_another(tmp_path: Path, capsys: pytest
 def test_a_browser_shows_it_whole(found: Calibration, dives: list[ReadDive], tmp_path: Path) -> None:
     html = tmp_path / "page.html"
     held = replace(found, held_out=(HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5),))
-    html.write_bytes(page(calibration_document(held, "found.toml", list(drawn(held, dives).values()))))
+    result = calibration_result(held, dives[0].config, "found.toml", list(drawn(held, dives).values()))
+    html.write_text(render(result, "html"), "utf-8")
     with opened_browser(tmp_path / "profile") as browser:
         for width in (1200, 390):
             browser.open(html, width)

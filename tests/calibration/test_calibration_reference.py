@@ -1,5 +1,6 @@
 """Beside a reference: its arm, mounting and clock and the DVL's scale are found as surely as is said."""
 
+import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,7 +12,7 @@ from built_in import CONFIG, WHITE
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.innovations import ReadDive
-from insdvl_replay.calibration.output import calibration_csv, calibration_document, calibration_json, calibration_toml
+from insdvl_replay.calibration.output import calibration_result, calibration_toml
 from insdvl_replay.calibration.parameters import (
     CLOCK,
     REFERENCE_ARM,
@@ -21,7 +22,7 @@ from insdvl_replay.calibration.parameters import (
     Geometry,
 )
 from insdvl_replay.calibration.reference import ATTITUDE, MOTION, reference_dive, with_reference
-from insdvl_replay.calibration.rows import CalibrationResult
+from insdvl_replay.calibration.rows import ParameterRow
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
@@ -32,7 +33,8 @@ from insdvl_replay.core.table import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.preparation.prepared import reference_at_imu, with_reference_at_imu
-from insdvl_replay.report.terminal import for_terminal
+from insdvl_replay.show.render import document, render
+from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES
 
@@ -257,11 +259,13 @@ def test_files_and_screen_say_the_same(found: Calibration, tmp_path: Path) -> No
     assert read_back.lever_arm_m == pytest.approx(after.lever_arm_m, abs=1e-6)
     assert read_back.mounting_rpy_deg == pytest.approx(after.mounting_rpy_deg, abs=1e-6)
     assert read_back.latency_s == pytest.approx(after.latency_s, abs=1e-6)
-    result = msgspec.json.decode(calibration_json(found, CONFIG), type=CalibrationResult)
-    assert result.reference is not None
-    assert result.reference.parameters == list(found.reference.rows)
-    assert "reference_arm_x" in calibration_csv(found)
-    assert for_terminal(calibration_document(found)) is not None
+    result = calibration_result(found, CONFIG)
+    printed = json.loads(render(result, "json"))
+    rows = msgspec.convert(printed["tables"]["parameters"], list[ParameterRow])
+    assert rows == list(found.all_rows)
+    assert printed["facts"]["after"]["reference"]["latency_s"] == after.latency_s
+    assert "reference_arm_x" in render(result, "csv")
+    assert for_terminal(document(result)) is not None
 
 
 def test_the_command_asks_for_it_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

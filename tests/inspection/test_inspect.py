@@ -21,13 +21,14 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG
-from insdvl_replay.inspection.inventory import Inventory, inventory_document
+from insdvl_replay.inspection.inventory import Inventory, inspection_result
 from insdvl_replay.inspection.probe import vector_paths
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log
-from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.json_report import as_json
+from insdvl_replay.show.render import document
+from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 
@@ -472,7 +473,7 @@ def test_json_is_complete_and_reads_back(log: Path, capsys: pytest.CaptureFixtur
 def shown(inventory: Inventory, width: int) -> list[str]:
     console = Console(width=width, highlight=False)
     with console.capture() as capture:
-        console.print(for_terminal(inventory_document(inventory)), crop=False)
+        console.print(for_terminal(document(inspection_result(inventory))), crop=False)
     return capture.get().splitlines()
 
 
