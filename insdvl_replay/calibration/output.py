@@ -47,8 +47,7 @@ KEYS: Final = {
     "scale": ("scale",),
 }
 """Key in ``[dvl]`` and ``[reference]``, and the groups of parameters that it holds."""
-DIGITS: Final = 6
-"""Decimals that are proposed; none of the numbers is known so well."""
+DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
 _GROUPS: Final = {parameter.name: parameter.group for parameter in SHARED}
 
 
@@ -291,13 +290,11 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
 
 # --- The pictures.
 
-DRAWN: Final = 6
-"""Dives whose course is drawn; the tables have all of them."""
+DRAWN: Final = 6  # dives whose course is drawn; the tables have all of them
 BEFORE, AFTER = filter_style(1), filter_style(0)
 _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
-_SHARE: Final = 0.995
-"""Of the innovations so many are inside a panel: wild ones would flatten the rest."""
+_SHARE: Final = 0.995  # of the innovations so many are inside a panel: wild ones would flatten the rest
 _AIR: Final = 1.2
 _CAPTION: Final = (
     "Predicted minus measured velocity, in its own standard deviation. What is left should have no pattern."

@@ -32,15 +32,13 @@ from insdvl_replay.logs.container.records import LogChannel
 from insdvl_replay.logs.encoding.fields import channel_paths, check_encoding
 from insdvl_replay.logs.reader import loss_notes, schema_notes, stamp_notes
 
-_ENOUGH: Final = 1000
-"""Messages of a topic that show its clock and its units."""
+_ENOUGH: Final = 1000  # messages of a topic that show its clock and its units
 _ENOUGH_OF_OTHERS: Final = 10
 _MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
 _LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
 _LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
 
-OnError = Callable[[UserError], None]
-"""What is done about an error that would end a replay."""
+OnError = Callable[[UserError], None]  # what is done about an error that would end a replay
 
 
 @contextmanager

@@ -117,10 +117,8 @@ class Inventory:
 # --- For people, and for scripts.
 
 _PREFIXES: Final = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"), (1, "B"))
-_FOLDED: Final = 16
-"""Letters of a type's name that a narrow terminal folds before it leaves out a column."""
-_MOST_TOPICS: Final = 100
-"""More are folded: recorders that write each field of each message as a topic make thousands."""
+_FOLDED: Final = 16  # letters of a type's name that a narrow terminal folds before it leaves out a column
+_MOST_TOPICS: Final = 100  # more are folded: recorders that write each field of each message as a topic make thousands
 _LEAST_FOLDED: Final = 4
 _MOST_EMPTY: Final = 40
 _PROPOSAL: Final = "To start from, as a file for -c; the comments say what was seen and what is to decide:"
