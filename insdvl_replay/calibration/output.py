@@ -18,7 +18,7 @@ from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, Parame
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
-from insdvl_replay.core.plain_text import visible
+from insdvl_replay.core.errors import visible
 from insdvl_replay.core.result import (
     LIMIT,
     REFERENCE,

@@ -264,6 +264,7 @@ class Result:
     series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)  # long tables: CSV files only
     display: Sequence[Part] = ()  # the tables as people see them; empty: each as its row type says
     document: Sequence[Part] = ()  # the whole in the command's own order; empty: in the usual order
+    data: Any = None  # what JSON holds, where it is not the above
 
 
 class ResultJson(Struct, frozen=True):

@@ -12,9 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.imu import Check
-from insdvl_replay.checks.plausibility import plausibility_checks
-from insdvl_replay.checks.reference import says_anything
+from insdvl_replay.checks.imu import Remark
+from insdvl_replay.checks.reference import plausibility_remarks, says_anything
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import ImuColumns, seconds
 from insdvl_replay.core.dive_record import Clock
@@ -23,14 +22,12 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.roles import Finding, RoleColumns
-from insdvl_replay.logs.columns.table_reading import read_sample, read_tables
-from insdvl_replay.logs.columns.tables import Table
-from insdvl_replay.logs.columns.topic_requirements import Source
-from insdvl_replay.logs.container.recording import Recording
-from insdvl_replay.logs.container.records import LogChannel
-from insdvl_replay.logs.encoding.fields import channel_paths, check_encoding
-from insdvl_replay.logs.reader import loss_notes, schema_notes, stamp_notes
+from insdvl_replay.logs.columns.tables import Table, read_sample, read_tables
+from insdvl_replay.logs.columns.topics import Source
+from insdvl_replay.logs.formats.fields import channel_paths, check_encoding
+from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.formats.recording import Recording
+from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_notes, stamp_notes
 
 _ENOUGH: Final = 1000  # messages of a topic that show its clock and its units
 _ENOUGH_OF_OTHERS: Final = 10
@@ -79,7 +76,7 @@ class DryRun:
             tables: list[Table] = []
             with errors_to(self._add_obstacle):
                 read = [self._read(source, self._add_obstacle) for source in finding.sources]
-                self._remark([*schema_notes(finding.sources), *stamp_notes(read)])
+                self._remark([*source_notes(finding.sources), *stamp_notes(read)])
                 if self.deep:
                     self._remark(loss_notes(read))
                 tables = read
@@ -104,16 +101,18 @@ class DryRun:
         if self.columns.imu is not None:
             with errors_to(self._add_obstacle):
                 self._remark(self.columns.clock_notes(own_clocks))
-            for check in self._checks(self.columns.imu):
-                with errors_to(self._add_obstacle):
-                    self._remark(check())
+            for remark in self._remarks(self.columns.imu):
+                if isinstance(remark, LogError):
+                    self._add_obstacle(remark)
+                else:
+                    self._remark([remark])
         for topic, imu in other_imus.items():
-            for check in self._checks(imu):
-                with errors_to(partial(self._doubt, topic)):
-                    about_imu = [note for note in check() if note.code.startswith("imu")]
-                    if any(note.severity == Severity.WARNING for note in about_imu):
-                        self.doubted.add(topic)
-                    self._remark(replace(note, text=f"{topic}: {note.text}") for note in about_imu)
+            for remark in self._remarks(imu):
+                if isinstance(remark, LogError):
+                    self._doubt(topic, remark)
+                elif remark.code.startswith("imu"):
+                    self.doubted |= {topic} if remark.severity == Severity.WARNING else set()
+                    self._remark([replace(remark, text=f"{topic}: {remark.text}")])
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
         """Look at the clocks of topics without a role, as far as their messages have a header."""
@@ -171,8 +170,8 @@ class DryRun:
         text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
         self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
 
-    def _checks(self, imu: ImuColumns) -> tuple[Check, ...]:
-        return plausibility_checks(str(self.log.path), imu, self.columns.dvl, self.columns.reference, self.config)
+    def _remarks(self, imu: ImuColumns) -> Iterator[Remark]:
+        return plausibility_remarks(str(self.log.path), imu, self.columns.dvl, self.columns.reference, self.config)
 
     def _remark(self, notes: Iterable[Note]) -> None:
         """Keep notes; of those from a sample the warnings alone, since its counts are not the log's."""

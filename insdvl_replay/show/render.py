@@ -1,10 +1,11 @@
 """A result in any format, and the files of its folder."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec import Struct
 
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.result import (
@@ -80,6 +81,8 @@ def _provenance(result: Result) -> list[Part]:
 
 def result_json(result: Result) -> bytes:
     """Write a result as JSON, null for what is missing. The same result gives the same bytes."""
+    if result.data is not None:
+        return as_json(result.data)
     return as_json(
         ResultJson(
             tool=this_tool(),
@@ -100,6 +103,16 @@ def _records(table: Any) -> list[dict[str, Any]]:
     if isinstance(table, Sequence):
         return [msgspec.structs.asdict(row) for row in table]
     return [{str(column): value for column, value in row.items()} for row in table.to_dict("records")]
+
+
+def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
+    """Describe the JSON of a result by the row types of its tables, as JSON schema."""
+    (result, *rows), definitions = msgspec.json.schema_components(
+        [ResultJson, *tables.values()], ref_template="#/$defs/{name}"
+    )
+    properties = {name: {"type": "array", "items": row} for name, row in zip(tables, rows, strict=True)}
+    definitions[ResultJson.__name__]["properties"]["tables"]["properties"] = properties
+    return {**result, "$defs": definitions}
 
 
 def save_result(result: Result, folder: Path, *, png: bool = False) -> None:
