@@ -299,7 +299,7 @@ def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) ->
 def require_common_candidate(pairs: Sequence[_Pair]) -> list[Note]:
     """Raise if no candidate is on both sides of any dive; note those that are on one side only."""
     sides = {"old": [set(old.report.filters) for old, _ in pairs], "new": [set(new.report.filters) for _, new in pairs]}
-    every = {side: set[str]().union(*of_dives) for side, of_dives in sides.items()}
+    every = {side: set[str]().union(*names) for side, names in sides.items()}
     alone = {
         side: Counter(name for own, others in zip(sides[side], sides[other], strict=True) for name in own - others)
         for side, other in (("old", "new"), ("new", "old"))
@@ -510,7 +510,7 @@ def brief_document(comparison: Comparison) -> list[Part]:
     return [
         Title(_title(comparison)),
         *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
-        *(_brief_differences(comparison.differences) if comparison.differences else [ALIKE]),
+        _brief_differences(comparison.differences) if comparison.differences else ALIKE,
         *(dataclasses.replace(table, title_apart=True) for table in tables),
         *([Sentences(apart)] if apart else []),
         Sentences((_moved_elsewhere(comparison),)),
@@ -522,7 +522,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
     rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
     several = len(comparison.matched) > 1
     values = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
-    by_table = [(name, of_table, "") for name, of_table in comparison.by_table.items()]
+    by_table = [(name, counts, "") for name, counts in comparison.by_table.items()]
     tables = [
         *([_differences_table(comparison)] if comparison.differences else []),
         *([_dives_table(comparison.dives)] if len(comparison.dives) > 1 else []),
@@ -597,8 +597,8 @@ def _changed_verdicts(comparison: Comparison) -> list[str]:
     """State which judgements and beliefs changed, the judgements first, each once with its dives."""
     dives: dict[tuple[str, str, str, str], list[str]] = {}
     for change in comparison.changes:
-        of_word = change.table == CANDIDATES.name and change.column in _JUDGED
-        if of_word and change.old and change.new and change.old != change.new:
+        is_word = change.table == CANDIDATES.name and change.column in _JUDGED
+        if is_word and change.old and change.new and change.old != change.new:
             key = change.column, change.filter, str(change.new), str(change.old)
             dives.setdefault(key, []).append(change.log)
     matched = len(comparison.matched)
@@ -614,25 +614,23 @@ def _where(logs: Sequence[str], dives: int) -> str:
     return "all" if len(logs) == dives else ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
 
 
-def _brief_differences(found: Sequence[Difference]) -> Iterator[Sentences]:
+def _brief_differences(found: Sequence[Difference]) -> Sentences:
     """State in a line each what differs beside the tables: first that logs do, then settings."""
-    other = [one for one in found if (one.block, one.key) == ("log", "sha256") and one.old and one.new]
-    names = sorted({name for one in other for name in one.logs}, key=natural_key)
+    other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]
+    names = sorted({name for item in other for name in item.logs}, key=natural_key)
     whose = "the log is" if len(names) == 1 else f"the logs of {listed(names)} are"
     lines = [f"{whose} another one (SHA-256): what moved may be the log's"] if names else []
-    rest = sorted((one for one in found if one not in other), key=lambda one: one.block != "config")
-    for one in rest[:_MOST_DIFFERENCES]:
-        old, new = (
-            MISSING if value is None else value if len(value) <= 30 else f"{value[:27]}..."
-            for value in (one.old, one.new)
-        )
-        lines.append(f"{one.block} {one.key}: {old}, now {new}")
+    rest = sorted((item for item in found if item not in other), key=lambda item: item.block != "config")
+    for item in rest[:_MOST_DIFFERENCES]:
+        texts = (MISSING if value is None else value for value in (item.old, item.new))
+        old, new = (text if len(text) <= 30 else f"{text[:27]}..." for text in texts)
+        lines.append(f"{item.block} {item.key}: {old}, now {new}")
     left = len(rest) - _MOST_DIFFERENCES
-    yield Sentences((*lines, *([f"{left} more differ: --all"] if left > 0 else [])))
+    return Sentences((*lines, *([f"{left} more differ: --all"] if left > 0 else [])))
 
 
 def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
-    """Lay out errors and times of the evidence that moved; of honesty how far it is from 1, which its ratio tells."""
+    """Lay out errors and times of the evidence that moved; of honesty how far it is from 1, which its ratio gives."""
 
     def is_shown(cell: Change | Aggregate) -> bool:
         wanted = (RATIO,) if cell.row in HONESTY_ROWS else ("value", "baseline")
@@ -644,44 +642,29 @@ def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
     def name(cell: Change | Aggregate) -> str:
         return f"{cell.row.upper()} off 1, times the baseline's" if cell.row in HONESTY_ROWS else label(cell.row)
 
-    cells = only_changed(comparison)
-    if len(comparison.matched) > 1:
-        # The baseline's values are in the rows of each candidate: once is enough.
-        over = {(owner(cell), cell.row): cell for cell in reversed(cells.aggregates) if is_shown(cell)}
-        if over:
-            title, rows = "Evidence that moved, in dives", [*over.values()][::-1]
-            yield table_of(
-                title,
-                rows,
-                [
-                    ("filter", "l", owner),
-                    ("evidence", "l", name),
-                    ("better", "r", lambda cell: str(cell.better)),
-                    ("worse", "r", lambda cell: str(cell.worse)),
-                    ("same", "r", lambda cell: str(cell.same)),
-                    ("median [%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
-                    ("worst [%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
-                    ("in", "l", lambda cell: cell.worst_log),
-                ],
-                spare=(7, 4, 6),
-            )
-        return
-    one = {(owner(change), change.row): change for change in reversed(cells.changes) if is_shown(change)}
-    if one:
-        yield table_of(
-            "Evidence that moved",
-            [*one.values()][::-1],
-            [
-                ("filter", "l", owner),
-                ("evidence", "l", name),
-                ("", "l", lambda change: change.unit),
-                ("old", "r", lambda change: FORMS["cell"](change.old)),
-                ("new", "r", lambda change: FORMS["cell"](change.new)),
-                ("change", "r", growth),
-                ("", "l", lambda change: change.word),
-            ],
-            spare=(2, 3, 4),
-        )
+    changed, several = only_changed(comparison), len(comparison.matched) > 1
+    cells: tuple[Change | Aggregate, ...] = changed.aggregates if several else changed.changes
+    # The baseline's values are in the rows of each candidate: once is enough.
+    rows = [*{(owner(cell), cell.row): cell for cell in reversed(cells) if is_shown(cell)}.values()][::-1]
+    columns: list[Any] = [("filter", "l", owner), ("evidence", "l", name)]
+    if several:
+        columns += [(key, "r", lambda cell, key=key: str(getattr(cell, key))) for key in ("better", "worse", "same")]
+        columns += [
+            ("median [%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
+            ("worst [%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
+            ("in", "l", lambda cell: cell.worst_log),
+        ]
+    else:
+        columns += [
+            ("", "l", lambda change: change.unit),
+            ("old", "r", lambda change: FORMS["cell"](change.old)),
+            ("new", "r", lambda change: FORMS["cell"](change.new)),
+            ("change", "r", growth),
+            ("", "l", lambda change: change.word),
+        ]
+    if rows:
+        title, spare = ("Evidence that moved, in dives", (7, 4, 6)) if several else ("Evidence that moved", (2, 3, 4))
+        yield table_of(title, rows, columns, spare=spare)
 
 
 def _cell_name(cell: Change | Aggregate) -> str:
@@ -717,7 +700,7 @@ def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
 
 def _moved_elsewhere(comparison: Comparison) -> str:
     """Count what moved in the other tables."""
-    moved = [f"{name} {of_table.moved}" for name, of_table in comparison.by_table.items() if of_table.moved]
+    moved = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
     said = f"values that moved, by table: {', '.join(moved)}" if moved else "no value moved"
     same = counted(comparison.total.counts[ChangeWord.SAME], "value")
     return f"{said}; {same} the same; --all shows them, --table NAME some"
@@ -725,19 +708,19 @@ def _moved_elsewhere(comparison: Comparison) -> str:
 
 def _differences_table(comparison: Comparison) -> DisplayTable:
     dives, found = len(comparison.matched), comparison.differences
-    of_all = all(len(difference.logs) == dives for difference in found)
+    in_all = all(len(item.logs) == dives for item in found)
 
-    def text(difference: Difference, value: str | None) -> str:
-        return MISSING if value is None else value[:_HASH_DIGITS] if difference.key == "sha256" else value
+    def text(item: Difference, value: str | None) -> str:
+        return MISSING if value is None else value[:_HASH_DIGITS] if item.key == "sha256" else value
 
     columns = [
-        ("what", "l", lambda one: f"{one.block} {one.key}"),
-        ("old", "l", lambda one: text(one, one.old)),
-        ("new", "l", lambda one: text(one, one.new)),
-        *([] if of_all else [("dives", "l", lambda one: _where(one.logs, dives))]),
+        ("what", "l", lambda item: f"{item.block} {item.key}"),
+        ("old", "l", lambda item: text(item, item.old)),
+        ("new", "l", lambda item: text(item, item.new)),
+        *([] if in_all else [("dives", "l", lambda item: _where(item.logs, dives))]),
     ]
     return table_of(
-        f"What differs beside the tables{' (in all dives)' if of_all and dives > 1 else ''}", found, columns
+        f"What differs beside the tables{' (in all dives)' if in_all and dives > 1 else ''}", found, columns
     )
 
 

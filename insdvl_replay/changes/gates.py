@@ -226,8 +226,8 @@ def _check_gate(gate: Gate) -> None:
     endless = [f"{key} = {limit}" for key, limit in limits.items() if limit is not None and not math.isfinite(limit)]
     no_limits, no_baseline = low is None and high is None and gate.equals is None, gate.baseline is None
     no_allowance = gate.max_worse_pct is None and gate.max_worse_abs is None
-    of_samples = ("within", "share_pct", "longest_outside_s", "at_s", "max_abs", "max_rel")
-    foreign = [key for key in of_samples if getattr(gate, key)]
+    sample_keys = ("within", "share_pct", "longest_outside_s", "at_s", "max_abs", "max_rel")
+    foreign = [key for key in sample_keys if getattr(gate, key)]
     unknown = re.findall(r"\{.*?\}", (gate.baseline or "").replace(LOG, ""))
     pooled_only = gate.table == POOLED and (not no_baseline or gate.share_of_dives_pct is not None or gate.dives)
     is_crossed, on_trajectory = low is not None and high is not None and low > high, gate.table == TRAJECTORY
@@ -479,8 +479,8 @@ def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, repor
     value, column, unit = row.get(gate.column), gate.column, _unit(layout, row, gate.column)
     # A cell of gain or loss fails where the filter is not judged; the verdict itself can pass.
     is_beside = not layout.baseline_too or layout.name == "drift"
-    of_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
-    if of_gain and report.filters.get(str(row["filter"]), {}).get("improvement") == Word.NOT_JUDGED:
+    is_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
+    if is_gain and report.filters.get(str(row["filter"]), {}).get("improvement") == Word.NOT_JUDGED:
         return f"is {value_text(value)}, and the filter is {Word.NOT_JUDGED}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
         return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"

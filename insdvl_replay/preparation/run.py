@@ -166,12 +166,12 @@ def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None
     )
 
 
-def _side_by_side(timeline: Timeline, work: Callable[..., T], *of_filters: Sequence[Any]) -> tuple[T, ...]:
+def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]) -> tuple[T, ...]:
     """Do something for every filter, on a long dive for each in a thread of its own."""
     if len(timeline.sample_ns) < WORTH_A_THREAD:
-        return tuple(map(work, *of_filters))
+        return tuple(map(work, *arguments))
     with ThreadPoolExecutor() as threads:
-        return tuple(threads.map(work, *of_filters))
+        return tuple(threads.map(work, *arguments))
 
 
 def run_one(
