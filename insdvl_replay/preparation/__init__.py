@@ -1,5 +1,6 @@
-"""From a log and settings to what the filters need, before they run.
+"""From a log and settings to runs of every candidate.
 
-`reading` reads a dive and has its columns checked, `prepared` does the rest for it; `alignment` finds where its filters
-start, `long_gaps` what becomes of gaps, and `filters` what each of them measures and how large its noise is.
+`prepared` reads and checks a dive, and does what comes before the filters: `gaps` settles pauses of the IMU,
+`alignment` finds the start, `filters` what each filter measures, `plugins` what user code measures. `run` runs the
+candidates, among them recorded `solutions`.
 """
