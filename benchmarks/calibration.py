@@ -42,7 +42,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.runtime import parallel_map
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, late_and_long

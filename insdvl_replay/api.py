@@ -14,9 +14,9 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
+from insdvl_replay.core.result import Report, build_report, this_tool
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
-from insdvl_replay.results.json_report import Report, build_report, this_tool
 from insdvl_replay.results.stored_results import read_one_result
 from insdvl_replay.show.dive import dive_screen
 
@@ -234,14 +234,14 @@ class Result:
 
         from rich.console import Console
 
-        from insdvl_replay.report.terminal import for_terminal
+        from insdvl_replay.show.text import for_terminal
 
         console = Console(width=100, file=io.StringIO(), record=True)
         console.print(for_terminal(self._screen()))
         return "\n".join(line.rstrip() for line in console.export_text().rstrip().split("\n"))
 
     def _repr_html_(self) -> str:
-        from insdvl_replay.report.page import fragment
+        from insdvl_replay.show.page import fragment
 
         return fragment(self._screen())
 
@@ -250,4 +250,4 @@ class Result:
 
 
 if TYPE_CHECKING:
-    from insdvl_replay.report.document import Part
+    from insdvl_replay.core.result import Part

@@ -7,6 +7,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.result import Report, build_report
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import (
     Candidate,
@@ -23,7 +24,6 @@ from insdvl_replay.core.tables import (
     TrackFitRow,
 )
 from insdvl_replay.evaluation.predicted import mean_over_nine
-from insdvl_replay.results.json_report import Report, build_report
 
 NAN = float("nan")
 

@@ -22,8 +22,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import NINE
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import PooledRow
+from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.evaluation.over_dives import pooled_evidence
 from insdvl_replay.preparation.prepared import read_checked_dive

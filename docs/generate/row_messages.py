@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from insdvl_replay.core.table import TableLayout
-from insdvl_replay.core.tables import TABLES
+from insdvl_replay.core.tables import TABLES, TableLayout
 
 FOLDER = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs" / "msg"
 TYPES = {"text": "string", "count": "uint32", "number": "float64"}

@@ -22,6 +22,8 @@ from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
+from insdvl_replay.core.result import Report, decode_report, package_versions
+from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.runtime import parallel_map, sources_digest
 from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import (
@@ -35,7 +37,6 @@ from insdvl_replay.results.folder import (
     result_folder,
     trajectory_file,
 )
-from insdvl_replay.results.json_report import Report, decode_report, encode_report, package_versions
 
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"

@@ -12,9 +12,8 @@ from msgspec import Struct
 
 from insdvl_replay.core.errors import ResultError
 from insdvl_replay.core.quantities import HONESTY
-from insdvl_replay.core.stored_report import Cell, Row, StoredReport, StoredResult
-from insdvl_replay.core.table import PERCENTAGE, Better, Number, TableLayout
-from insdvl_replay.core.tables import CANDIDATES
+from insdvl_replay.core.result import Cell, Row, StoredReport, StoredResult
+from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, Better, Number, TableLayout
 from insdvl_replay.core.words import ChangeWord
 
 PRINTED_DIGITS: Final = 4

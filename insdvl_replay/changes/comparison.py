@@ -20,24 +20,21 @@ from msgspec.structs import astuple, replace
 from insdvl_replay.changes.cells import ROUNDING, Change, changes_of, named_rows, within
 from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.stored_report import StoredReport, StoredResult, flattened
-from insdvl_replay.core.table import PERCENTAGE, RATIO, Number, TableLayout
-from insdvl_replay.core.tables import CANDIDATES, LAYOUTS
-from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
-from insdvl_replay.report.csv_tables import blocks_csv
-from insdvl_replay.report.document import (
-    FORMS,
-    MISSING,
+from insdvl_replay.core.result import (
     Callout,
     DisplayTable,
     Only,
     Part,
     Sentences,
+    StoredReport,
+    StoredResult,
     Title,
-    counted,
-    table_of,
+    flattened,
 )
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, PERCENTAGE, RATIO, Number, TableLayout
+from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results
+from insdvl_replay.show.document import FORMS, MISSING, blocks_csv, counted, table_of
 
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 """What may differ beside the tables, in the order of what a reader asks first."""

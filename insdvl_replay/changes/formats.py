@@ -9,12 +9,11 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.changes.gates import EVERY_DIVE, TRAJECTORY, CheckResult, Finding, Judgement
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.stored_report import Cell
-from insdvl_replay.core.table import PERCENTAGE
+from insdvl_replay.core.result import Cell, DisplayTable, Part, Title, Tool, as_json, this_tool
+from insdvl_replay.core.tables import PERCENTAGE
 from insdvl_replay.core.words import GateStatus
-from insdvl_replay.report.document import MISSING, DisplayTable, Part, Title, counted
-from insdvl_replay.report.markdown import as_markdown
-from insdvl_replay.results.json_report import Tool, as_json, this_tool
+from insdvl_replay.show.document import MISSING, counted
+from insdvl_replay.show.text import as_markdown
 
 # By status: its word beside a gate, its word behind a count, and its element of JUnit XML.
 WORDS: Final[dict[GateStatus, tuple[str, str, str]]] = {

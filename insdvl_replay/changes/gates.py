@@ -39,14 +39,12 @@ from insdvl_replay.core.errors import (
     looked_for,
     require_known,
 )
+from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport, as_json
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
-from insdvl_replay.core.stored_report import Cell, Row, StoredLog, StoredReport
-from insdvl_replay.core.table import PERCENTAGE, TableLayout, layout_of
-from insdvl_replay.core.tables import CANDIDATES, TABLES, EvidenceRow, PooledRow
+from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, TABLES, EvidenceRow, PooledRow, TableLayout, layout_of
 from insdvl_replay.core.words import GateLevel, GateStatus, ReferenceStatus
 from insdvl_replay.core.words import Judgement as Word
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
-from insdvl_replay.results.json_report import Report, as_json
 from insdvl_replay.results.stored_results import read_results
 
 if TYPE_CHECKING:

@@ -70,7 +70,7 @@ def compare(
     from insdvl_replay.changes.comparison import only_changed as without_same
     from insdvl_replay.cli.screen import in_format
     from insdvl_replay.core.errors import LimitError, visible
-    from insdvl_replay.results.json_report import as_json
+    from insdvl_replay.core.result import as_json
 
     limit = 0.0 if fail_on is None else parse_limit(fail_on)
     tolerance_pct = None if tolerance is None else parse_percentage(tolerance, "--tolerance ")

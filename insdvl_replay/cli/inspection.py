@@ -63,10 +63,10 @@ def inspect(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.cli.screen import spinner, written
     from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.result import as_json
     from insdvl_replay.inspection.inventory import inspection_result, inventory_csv
     from insdvl_replay.inspection.survey import inspect_log
     from insdvl_replay.results.folder import require_replaceable_file
-    from insdvl_replay.results.json_report import as_json
 
     if propose is not None:
         require_replaceable_file(propose, force=force)

@@ -79,9 +79,9 @@ def run(
     from insdvl_replay.cli.screen import in_format
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
-    from insdvl_replay.report.document import Only, Part
+    from insdvl_replay.core.result import Only, Part, Report
+    from insdvl_replay.core.result import as_json as encode_report
     from insdvl_replay.results.folder import PAGE, result_file
-    from insdvl_replay.results.json_report import Report, encode_report
     from insdvl_replay.show.dive import (
         csv_of,
         dive_document,
@@ -181,9 +181,9 @@ def run(
 
 def _overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> "dict[Path, Callable[..., bytes]]":
     """Return what is written of several dives together; what bears such a name and is none is left alone."""
-    from insdvl_replay.report.page import is_page
     from insdvl_replay.results.folder import require_replaceable_file
     from insdvl_replay.show.dives import evidence_csv, index_page, is_evidence, is_summary, summary_csv
+    from insdvl_replay.show.page import is_page
 
     known = {
         "summary.csv": (summary_csv, is_summary),

@@ -280,7 +280,7 @@ def figure(
       insdvl-replay figure replay/dive sigma --states ba,bg --width 180mm --format svg -o biases.svg
     """
     from insdvl_replay.cli.messages import log_to_stderr
-    from insdvl_replay.core.stored_report import StoredReport
+    from insdvl_replay.core.result import StoredReport
     from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
     from insdvl_replay.results.stored_results import read_one_result
     from insdvl_replay.results.trajectory import KINDS, chosen_states, paper_figure, read_trajectory

@@ -18,8 +18,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import AXES, WITHHELD, axis_of, is_reserved
 from insdvl_replay.core.states import DEG, MORE_STATES, PHI, SENSORS
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import ConsistencyRow, Tables
+from insdvl_replay.core.tables import ConsistencyRow, Tables, finite
 from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness
 from insdvl_replay.evaluation.chi_square import FEWEST_UPDATES, chi_square_quantile, consistency_verdict, mean_interval
 from insdvl_replay.evaluation.series import samples_in_mean_square

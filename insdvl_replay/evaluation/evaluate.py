@@ -17,8 +17,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import IS_REFERENCE, TRACK
 from insdvl_replay.core.states import DEG
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import Candidate, JumpRow, ReferenceErrorRow, Tables
+from insdvl_replay.core.tables import Candidate, JumpRow, ReferenceErrorRow, Tables, finite
 from insdvl_replay.core.words import ReferenceStatus, Severity
 from insdvl_replay.evaluation.consistency import consistency_table
 from insdvl_replay.evaluation.convergence import (

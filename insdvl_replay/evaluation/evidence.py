@@ -28,8 +28,7 @@ from insdvl_replay.core.quantities import (
     is_used,
 )
 from insdvl_replay.core.states import DEG, PHI
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow
+from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow, finite
 from insdvl_replay.core.words import Consistency, EvidenceWord
 from insdvl_replay.evaluation.convergence import MeasuredConvergence
 from insdvl_replay.evaluation.drift import (

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import COASTING_WINDOWS_S
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import CoastingRow
+from insdvl_replay.core.tables import CoastingRow, finite
 from insdvl_replay.evaluation.chi_square import chi_square_quantile
 from insdvl_replay.evaluation.errors import SHORTEST_M
 from insdvl_replay.evaluation.series import windows_ratio

@@ -7,8 +7,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES, HONESTY
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import EvidenceRow, PooledRow
+from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, what_settles, word_of
 from insdvl_replay.evaluation.verdicts import (

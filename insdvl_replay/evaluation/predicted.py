@@ -11,8 +11,7 @@ import numpy as np
 
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES, State
-from insdvl_replay.core.table import finite
-from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow
+from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow, finite
 from insdvl_replay.core.words import ImprovementStatus
 
 SAME_PCT: Final = 0.05

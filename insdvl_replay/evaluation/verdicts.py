@@ -25,8 +25,16 @@ from insdvl_replay.core.quantities import (
     label,
 )
 from insdvl_replay.core.states import DVL_AIDING, NINE
-from insdvl_replay.core.table import Number, finite
-from insdvl_replay.core.tables import Candidate, ConsistencyRow, CredibilityRow, EvidenceRow, PooledRow, Tables
+from insdvl_replay.core.tables import (
+    Candidate,
+    ConsistencyRow,
+    CredibilityRow,
+    EvidenceRow,
+    Number,
+    PooledRow,
+    Tables,
+    finite,
+)
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.errors import ReferenceErrors

@@ -41,7 +41,7 @@ from insdvl_replay.calibration.parameters import ALL_GROUPS, ARM, DELAY, MOUNTIN
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import DvlColumns
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.sim.dive import add_errors, exact_dive

@@ -16,7 +16,7 @@ from insdvl_replay.calibration.parameters import LABELS
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Figure
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.show.render import render
 
 

@@ -29,7 +29,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import DEG
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.preparation.prepared import reference_at_imu, with_reference_at_imu

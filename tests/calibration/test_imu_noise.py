@@ -12,7 +12,7 @@ from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.calibration.parameters import DELAY, NAMES
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.sim.dive import add_errors, exact_dive, late_and_long
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors

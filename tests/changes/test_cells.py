@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from insdvl_replay.changes.cells import judge_number, prints_alike, rank_word
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
-from insdvl_replay.core.table import Better
-from insdvl_replay.report.document import number, percent
+from insdvl_replay.core.tables import Better
+from insdvl_replay.show.document import number, percent
 
 BETTER: tuple[Better, ...] = ("lower", "higher", "nearer zero", "nearer dof")
 OPPOSITE = {"better": "worse", "worse": "better", "same": "same"}

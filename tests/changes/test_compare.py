@@ -33,12 +33,10 @@ from insdvl_replay.changes.comparison import (
 )
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
+from insdvl_replay.core.result import DisplayTable, as_json
 from insdvl_replay.core.tables import LAYOUTS
-from insdvl_replay.report.document import DisplayTable
-from insdvl_replay.report.markdown import as_markdown
-from insdvl_replay.report.page import page
-from insdvl_replay.report.terminal import for_terminal
-from insdvl_replay.results.json_report import as_json
+from insdvl_replay.show.page import page
+from insdvl_replay.show.text import as_markdown, for_terminal
 
 
 def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:

@@ -12,7 +12,7 @@ from small_results import content, nudged
 
 from insdvl_replay.changes.gates import Gate, gate_findings, load_gates, require_known_names
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.stored_report import StoredReport
+from insdvl_replay.core.result import StoredReport
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'
 

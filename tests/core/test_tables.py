@@ -8,8 +8,7 @@ from row_messages import message_definition
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import SENSORS
-from insdvl_replay.core.table import TableLayout
-from insdvl_replay.core.tables import LAYOUTS, TABLES, each_table
+from insdvl_replay.core.tables import LAYOUTS, TABLES, TableLayout, each_table
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.evaluation import verdicts
 from insdvl_replay.replay import replay_dive

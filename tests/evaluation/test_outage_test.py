@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.table import layout_of
+from insdvl_replay.core.tables import layout_of
 from insdvl_replay.evaluation.outage_test import (
     CoastingRow,
     OutagePlan,

@@ -13,7 +13,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import DEG_PER_HOUR, MG
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import replay_dive, replay_log
 from insdvl_replay.sim.dive import add_errors, exact_dive

@@ -10,7 +10,7 @@ from frames import frame
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import NINE
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.evaluation.over_dives import pooled_evidence, pooled_judgement
 from insdvl_replay.replay import Replay, replay_log
 

@@ -13,16 +13,16 @@ from taken_apart import Document
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import Note
+from insdvl_replay.core.result import Callout, DisplayTable, Heading, Html, Report, Title, decode_report
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.table import finite
+from insdvl_replay.core.tables import finite
 from insdvl_replay.replay import Replay, replay_dive, replay_log
-from insdvl_replay.report.document import Callout, DisplayTable, Heading, Html, Title, parts_for
-from insdvl_replay.report.page import page
-from insdvl_replay.report.terminal import for_terminal
-from insdvl_replay.results.json_report import Report, decode_report
 from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document, glance_table
+from insdvl_replay.show.document import parts_for
 from insdvl_replay.show.figures import Clock, Source, covered_shares, replay_figures, shades_of, track_panel
+from insdvl_replay.show.page import page
+from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import simulate_dive
 
 pytestmark = pytest.mark.all_starts

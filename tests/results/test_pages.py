@@ -10,8 +10,7 @@ from taken_apart import Document
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import Result
-from insdvl_replay.report.document import DisplayTable
+from insdvl_replay.core.result import DisplayTable, Result
 from insdvl_replay.show.dives import Failure, index_page
 from insdvl_replay.show.render import save_result
 from insdvl_replay.studies.observability import singular_value_figure

@@ -17,17 +17,12 @@ from rich.console import Console
 
 from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.result import Tool, decode_report
+from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.tables import (
     ConvergenceRow,
 )
-from insdvl_replay.report.csv_tables import structs_csv, table_csv
-from insdvl_replay.report.document import number, percent
-from insdvl_replay.report.latex import as_latex
-from insdvl_replay.report.markdown import as_markdown
-from insdvl_replay.report.page import page
-from insdvl_replay.report.terminal import for_terminal
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
-from insdvl_replay.results.json_report import Tool, decode_report, encode_report
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
@@ -41,6 +36,9 @@ from insdvl_replay.show.dive import (
     word_in_table,
 )
 from insdvl_replay.show.dives import Failure, summary_csv
+from insdvl_replay.show.document import number, percent, structs_csv, table_csv
+from insdvl_replay.show.page import page
+from insdvl_replay.show.text import as_latex, as_markdown, for_terminal
 
 HEADERS = {
     "improvement": "log,filter,state,unit,baseline_sd,sd,improvement_pct,status",

@@ -19,10 +19,10 @@ from insdvl_replay import Result, load_config, read_result, replay_log
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.states import STATES
-from insdvl_replay.report.latex import as_latex
 from insdvl_replay.results import stored_results
 from insdvl_replay.results.trajectory import KINDS
 from insdvl_replay.show.dive import dive_document
+from insdvl_replay.show.text import as_latex
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
@@ -176,7 +176,8 @@ def test_latex_has_labels_real_minus_and_powers_of_ten() -> None:
 
 
 def tiny() -> list[Any]:
-    from insdvl_replay.report.document import DisplayTable, number
+    from insdvl_replay.core.result import DisplayTable
+    from insdvl_replay.show.document import number
 
     return ["numbers", DisplayTable("Small", ("a", "b"), "rr", ((number(2.3e-5), number(-0.5)),))]
 

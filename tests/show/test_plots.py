@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from insdvl_replay.report.plots.axis import Axis, limits
-from insdvl_replay.report.plots.envelope import band_envelope, envelope, without_standstill
-from insdvl_replay.report.plots.panel import Band, Curve, Panel, filter_style
-from insdvl_replay.report.plots.svg import panel_svg
+from insdvl_replay.core.result import Band, Curve, Panel, filter_style
+from insdvl_replay.show.plot import Axis, band_envelope, envelope, limits, panel_svg, without_standstill
 
 NAN = float("nan")
 SVG = "{http://www.w3.org/2000/svg}"

@@ -18,8 +18,8 @@ from insdvl_replay.changes.gates import (
     require_known_names,
     trajectory_findings,
 )
+from insdvl_replay.core.result import StoredReport
 from insdvl_replay.core.states import COLUMNS
-from insdvl_replay.core.stored_report import StoredReport
 from insdvl_replay.results.trajectory import Trajectory
 
 GATE = '[[gate]]\nname = "a"\ntable = "improvement"\ncolumn = "sd"\n'

@@ -13,11 +13,11 @@ from insdvl_replay.changes.comparison import brief_document, compare_results, op
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.evaluation.over_dives import pooled_candidate, pooled_sentence
 from insdvl_replay.evaluation.series import dives_ratio, what_settles
-from insdvl_replay.report.markdown import as_markdown
 from insdvl_replay.results.folder import result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.dive import dive_document, dive_screen, track_fit_line
+from insdvl_replay.show.text import as_markdown
 
 COMPARED = (
     ["old", "worse", "--fail-on", "worse"],

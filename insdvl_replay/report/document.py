@@ -1,4 +1,0 @@
-"""The old place of these names."""
-
-from insdvl_replay.core.result import *  # noqa: F403
-from insdvl_replay.show.document import *  # noqa: F403
