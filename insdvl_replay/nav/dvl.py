@@ -199,7 +199,7 @@ def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, for_one_beam: bool
 
     Noise of one beam goes through the least squares: with four beams, tilted by ``a`` from z, the variances in d are
     ``1 / (2 sin^2 a)``, the same again, and ``1 / (4 cos^2 a)`` times a beam's. Else each axis of a velocity from all
-    beams has ``sd_mps``, and a velocity from fewer beams is worse by as much as the least squares says.
+    beams has ``sd_mps``, and a velocity from fewer beams is worse by the factor of the least squares.
 
     Parameters
     ----------

@@ -132,16 +132,16 @@ class Stack(NamedTuple):
 
 def stacked(measurements: Sequence[Measurement]) -> Stack:
     """Stack measurements, at least one, for the loop."""
-    count, width = max(len(one.available) for one in measurements), max(one.size for one in measurements)
-    window = max(1, *(one.velocity_weights.shape[1] for one in measurements))
+    count, width = max(len(made.available) for made in measurements), max(made.size for made in measurements)
+    window = max(1, *(made.velocity_weights.shape[1] for made in measurements))
     shapes = ((), (width,), (width, width), (window,), (window - 1,))
     columns = [np.zeros((len(measurements), count, *shape)) for shape in shapes]
     available, values, cov, velocity_weights, interval_weights = columns
-    for m, one in enumerate(measurements):
-        k, size, first = len(one.available), one.size, window - one.velocity_weights.shape[1]
-        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = one.available, one.values, one.cov
-        velocity_weights[m, :k, first:], interval_weights[m, :k, first:] = one.velocity_weights, one.interval_weights
-    by_measurement = [np.array([getattr(one, name) for one in measurements]) for name in Stack._fields[5:]]
+    for m, made in enumerate(measurements):
+        k, size, first = len(made.available), made.size, window - made.velocity_weights.shape[1]
+        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = made.available, made.values, made.cov
+        velocity_weights[m, :k, first:], interval_weights[m, :k, first:] = made.velocity_weights, made.interval_weights
+    by_measurement = [np.array([getattr(made, name) for made in measurements]) for name in Stack._fields[5:]]
     return Stack(available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement)
 
 

@@ -399,7 +399,7 @@ def name_unobservable(
         At most 12 less the rank; in the order of ``directions``.
     """
     unnamed, found = observability.unobservable, set()
-    for direction in sorted(directions, key=lambda one: observability.response(one.scaled(prior_sd))):
+    for direction in sorted(directions, key=lambda named: observability.response(named.scaled(prior_sd))):
         part = unnamed.T @ (unnamed @ direction.scaled(prior_sd))
         if part @ part > 0.5:
             found.add(direction.id)
