@@ -173,15 +173,16 @@ class McapFile(LogFile):
             found, others, stop, is_broken = walk(window, end - place)
             self._private += others
             is_message = found[:, 0] == Opcode.MESSAGE
-            edges = [0, *(np.flatnonzero(np.diff(is_message)) + 1).tolist(), len(found)]
-            for first, behind in pairwise(edges):
-                if is_message[first:behind].any():
+            has_messages = bool(is_message.any())
+            edges = [0, *(np.flatnonzero(np.diff(is_message)) + 1).tolist()] if has_messages else [0]
+            for first, behind in pairwise([*edges, len(found)]):
+                if has_messages and is_message[first:behind].any():
                     self._take_messages(window, place, found[first:behind])
                     continue
                 for kind, start, length in found[first:behind].tolist():
                     with self.collected():
                         self._take(kind, place + start, length, window[start + HEADER_SIZE :])
-            size = _LARGE_WINDOW if is_message.any() else _WINDOW
+            size = _LARGE_WINDOW if has_messages else _WINDOW
             if is_broken:
                 self._damage(place + stop, what_is_there(window[stop:], end - place - stop))
                 stop = int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0
@@ -399,12 +400,12 @@ class McapFile(LogFile):
 
     def _indexed(self, chunk: Chunk, behind: memoryview) -> tuple[NDArray[np.int64], NDArray[Any]]:
         """Return what the indexes of a chunk say: the channel of each message, and its entry."""
-        ids, parts = [np.empty(0, np.int64)], [np.empty(0, _ENTRY)]
+        ids, parts = [0], [np.empty(0, _ENTRY)]
         for start, length in chunk.indexes:
             channel_id, size = struct.unpack_from("<HI", behind, start - chunk.end)
             parts.append(np.frombuffer(behind, _ENTRY, min(size, length - 6) // _ENTRY.itemsize, start - chunk.end + 6))
-            ids.append(np.full(parts[-1].size, channel_id, np.int64))
-        return np.concatenate(ids), np.concatenate(parts)
+            ids.append(channel_id)
+        return np.repeat(np.array(ids, np.int64), [part.size for part in parts]), np.concatenate(parts)
 
     def _take_between(self, chunk: Chunk, buffer: memoryview, start: int, end: int) -> bool:
         """Take the definitions between messages; return whether there is nothing else."""

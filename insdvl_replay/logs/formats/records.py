@@ -106,7 +106,9 @@ def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bo
             found.append((kind, place, length))
         before, patience = head, max(patience - 1, 0)
         place += size * count
-    records = np.concatenate([*parts, np.array(found, np.int64).reshape(-1, 3)])
+    records = np.array(found, np.int64).reshape(-1, 3)
+    if parts:
+        records = np.concatenate([*parts, records])
     is_broken |= len(buffer) >= room and place < room
     if is_broken and len(records) and records[-1, 0] == Opcode.MESSAGE:
         records = records[:-1]
