@@ -9,7 +9,7 @@ from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from insdvl_replay.logs.formats.types import definition_text
+from insdvl_replay.logs.formats.definitions import definition_text
 
 START_NS = 1_700_000_000_000_000_000
 Message = tuple[str, str, float, dict[str, Any]]

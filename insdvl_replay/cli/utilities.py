@@ -197,7 +197,7 @@ def schema(
     elif name in SCHEMAS:
         write_stdout(json_schema(name).decode())
     else:
-        from insdvl_replay.logs.formats.types import definition_text
+        from insdvl_replay.logs.formats.definitions import definition_text
 
         known = [*SCHEMAS, "a message type such as insdvl_msgs/msg/NavSolution"]
         try:

@@ -19,10 +19,11 @@ from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Filter, Topic, key_of, spelled_out
+from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Filter, Initial, Topic, key_of, spelled_out
 from insdvl_replay.core.errors import (
     LISTED,
     ConfigError,
+    LogError,
     error_context,
     hint_for,
     is_writable,
@@ -538,3 +539,35 @@ def toml_value(value: object) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(toml_value(item) for item in value)}]"
     return repr(value)
+
+
+def check_start(
+    initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool, has_heading: bool = False
+) -> None:
+    """Refuse settings that leave open where or how a filter starts, by what a reference gives, or a sensor."""
+    from_reference = initial.source == "reference"
+    if from_reference and not has_reference:
+        raise LogError(
+            "no reference solution was found to start from",
+            "name it with --set reference.topic=... and its fields (a solution that is a filter is none), or start "
+            "level: --set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=..., or, where "
+            "the log has an AHRS, from its attitude: --set initial.source=sensor --set initial.latitude_deg=...",
+        )
+    if not has_position:
+        start_latitude_deg(initial)
+    if not (has_heading or (from_reference and has_attitude)) and initial.heading_deg is None:
+        by_track = ", or fit, by the track of its positions" if has_position else ""
+        raise ConfigError(
+            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
+            f"--set initial.heading_deg=... (or sensor, by an AHRS or a compass{by_track})",
+        )
+
+
+def start_latitude_deg(initial: Initial) -> float:
+    """Return the latitude that the settings give, where no reference does."""
+    if initial.latitude_deg is None:
+        raise ConfigError(
+            "the latitude is needed for gravity and Earth rate, and no reference gives it",
+            "--set initial.latitude_deg=...",
+        )
+    return initial.latitude_deg

@@ -89,7 +89,7 @@ def look_down(look: Floats) -> bool:
 def beam_vectors(tilt_deg: float = TILT_DEG, azimuth_deg: Sequence[float] = AZIMUTH_DEG) -> Floats:
     """Return the unit vectors of the beams in d, from the instrument towards the seabed, shape (beams, 3).
 
-    Levy and Klein print vectors of rank 2 that are not of unit length; see equations/beams.md.
+    Levy and Klein print vectors of rank 2 that are not of unit length; see docs/equations/beams.md.
     """
     tilt, azimuth = tilt_deg * DEG, np.array(azimuth_deg) * DEG
     down = np.full_like(azimuth, np.cos(tilt))

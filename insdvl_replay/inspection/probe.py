@@ -13,10 +13,10 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.logs.formats.decoded import DecodedFields
+from insdvl_replay.logs.formats.definitions import PRIMITIVES
 from insdvl_replay.logs.formats.fields import NUMBER, Kinds, check_encoding, open_reader, split_paths
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.recording import Recording
-from insdvl_replay.logs.formats.types import PRIMITIVES
 
 _FAMILIES: Final = (
     ("x", "y", "z"),

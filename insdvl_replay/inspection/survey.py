@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import check_start
 from insdvl_replay.core.dive_columns import TimeNs, seconds
 from insdvl_replay.core.errors import Note, UserError
 from insdvl_replay.core.words import Reading
@@ -21,7 +22,6 @@ from insdvl_replay.inspection.proposal import propose
 from insdvl_replay.logs.formats.log_file import by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
-from insdvl_replay.preparation.alignment import check_start
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _IDLE: Final = "sensors_idle"

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.formats.definitions import Definitions, definition_text, parse_definitions
 from insdvl_replay.logs.formats.layout import layout_for_texts
-from insdvl_replay.logs.formats.types import Definitions, definition_text, parse_definitions
 
 LIBRARY: Final = "insdvl-replay"
 CHUNK_BYTES: Final = 1024 * 1024  # a chunk is full with the message that exceeds this, before compression

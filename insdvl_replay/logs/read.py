@@ -47,9 +47,9 @@ from insdvl_replay.logs.columns.topics import (
     solution_name,
     solution_role,
 )
+from insdvl_replay.logs.formats.definitions import missing_types
 from insdvl_replay.logs.formats.log_file import COPY_AGAIN, LogChannel, by_topic
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.types import missing_types
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:

@@ -151,7 +151,7 @@ class SlopeWindows:
 def slope_windows(time_s: Floats, window: int, order: int = 1, max_gap_s: float = np.inf) -> SlopeWindows:
     """Make the weights for the slope at the middle of each window of past velocities.
 
-    Equations (21) to (23) of Levy and Klein, with the two-row B that they mean; see equations/acceleration.md.
+    Equations (21) to (23) of Levy and Klein, with the two-row B that they mean; see docs/equations/acceleration.md.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ gives velocity and misalignment Schuler's period. Errors of the position, in m, 
     D dp = dv + T dp        D dv = ... + A dp        D phi = ... + B dp
 
 ``T`` holds the metres of a degree as they change, ``A`` the gradient of gravity and the Coriolis acceleration, ``B``
-the rate of n. Derivation: equations/error_model.md.
+the rate of n. Derivation: docs/equations/error_model.md.
 """
 
 from collections.abc import Collection

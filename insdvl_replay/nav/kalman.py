@@ -234,7 +234,8 @@ def significant_factor(found: float, var: float) -> float:
 # the difference of the old and the new v for information on the heading. The same holds for the DVL's scale and yaw,
 # whose effect on the velocity grows with it.
 #
-# Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer"; equations/kalman_filter.md.
+# Source: Barrau and Bonnabel, "The Invariant Extended Kalman Filter as a Stable Observer";
+# docs/equations/kalman_filter.md.
 
 
 @inlined

@@ -16,7 +16,7 @@ heading       z = atan2(c_e, c_n) + b - psi                  H = [ 0 | -tan c_n,
 
 The slope of a body-frame velocity is ``f + C' g - w x v_b``; ``published`` is the paper's model, without w x v_b.
 ``windowed`` predicts the same weighted sum of velocities as the DVL's slope, of what the mechanisation alone has added
-to the body velocity between pings. Equations (36) to (46) of Levy and Klein, signs as of F: equations/updates.md.
+to the body velocity between pings. Equations (36) to (46) of Levy and Klein, signs as of F: docs/equations/updates.md.
 """
 
 import math

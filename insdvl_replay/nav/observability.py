@@ -65,7 +65,7 @@ def nominal_pings(
     """Carry the errors at the start to each ping along a nominal motion.
 
     Equations (48) and (49) of Levy and Klein, as the product of ``I + F dt`` along the way; see
-    equations/observability.md.
+    docs/equations/observability.md.
 
     Parameters
     ----------
@@ -333,7 +333,7 @@ def named_directions(
 ) -> tuple[ErrorDirection, ...]:
     """Make the directions that steady motion hides from velocities, or from accelerations.
 
-    Equations (50) to (54) of Levy and Klein, and what they leave out; see equations/observability.md.
+    Equations (50) to (54) of Levy and Klein, and what they leave out; see docs/equations/observability.md.
 
     Parameters
     ----------

@@ -8,6 +8,7 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from insdvl_replay.core.config import Config, Initial
+from insdvl_replay.core.config_file import check_start, start_latitude_deg
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Dive,
@@ -18,7 +19,7 @@ from insdvl_replay.core.dive_columns import (
     at_time,
     seconds,
 )
-from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BA, BG, BY_SENSOR, DEG, DEG_PER_HOUR, DV, MG, PHI
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import earth_rate_n
@@ -124,7 +125,7 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
         position, found = _reference_position(reference, initial, start_ns)
         notes += found
     else:
-        latitude_deg = _latitude_deg(initial)
+        latitude_deg = start_latitude_deg(initial)
         position = np.array([latitude_deg * DEG, initial.longitude_deg * DEG, initial.height_m])
         if fix is None:
             text = f"started at the configured latitude {latitude_deg:g} deg"
@@ -194,37 +195,6 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
         position = np.where(np.isfinite(fix), moved, position)
     start = Start(position, velocity_n, mat_nb, cov, accel_bias_b, gyro_bias_b, is_heading_sensed=is_heading_sensed)
     return Alignment(start_ns, start, tuple(notes), initial, used_ns)
-
-
-def check_start(
-    initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool, has_heading: bool = False
-) -> None:
-    """Refuse settings that leave open where or how a filter starts, by what a reference gives, or a sensor."""
-    from_reference = initial.source == "reference"
-    if from_reference and not has_reference:
-        raise LogError(
-            "no reference solution was found to start from",
-            "name it with --set reference.topic=... and its fields (a solution that is a filter is none), or start "
-            "level: --set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=..., or, where "
-            "the log has an AHRS, from its attitude: --set initial.source=sensor --set initial.latitude_deg=...",
-        )
-    if not has_position:
-        _latitude_deg(initial)
-    if not (has_heading or (from_reference and has_attitude)) and initial.heading_deg is None:
-        by_track = ", or fit, by the track of its positions" if has_position else ""
-        raise ConfigError(
-            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
-            f"--set initial.heading_deg=... (or sensor, by an AHRS or a compass{by_track})",
-        )
-
-
-def _latitude_deg(initial: Initial) -> float:
-    if initial.latitude_deg is None:
-        raise ConfigError(
-            "the latitude is needed for gravity and Earth rate, and no reference gives it",
-            "--set initial.latitude_deg=...",
-        )
-    return initial.latitude_deg
 
 
 def initial_sd(initial: Initial) -> Floats:

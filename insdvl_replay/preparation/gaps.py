@@ -99,7 +99,7 @@ def outage_notes(
     if not count:
         return ()
     longest_s, since_s = length_ns[longest] / NS_PER_S, (ends_ns[longest] - start_ns) / NS_PER_S
-    # The presets hold for so long without a velocity; see equations/kalman_filter.md.
+    # The presets hold for so long without a velocity; see docs/equations/kalman_filter.md.
     trusted = "5 min with micromechanical sensors, 1 h with tactical and 2 h with fibre-optic ones"
     text = (
         f"the DVL gives no velocity for over {HOLD_AFTER_S:g} s, {count} x, the longest {longest_s:.0f} s from "

@@ -261,7 +261,7 @@ class Trajectory:
         """Return the motion at any times up to the trajectory's end.
 
         Implements ``f_b = C'(v' - g + (2 w_ie + w_en) x v)`` and ``w_b = w_nb + C'(w_ie + w_en)`` with
-        ``v' = C (w_nb x v_b + v_b')``; see equations/mechanisation.md.
+        ``v' = C (w_nb x v_b + v_b')``; see docs/equations/mechanisation.md.
         """
         # Hermite's cubic between the knots.
         left = np.clip(np.searchsorted(self._knots_s, time_s, side="right") - 1, 0, len(self._knots_s) - 2)

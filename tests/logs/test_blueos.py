@@ -14,7 +14,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.inventory import inventory_csv, inventory_tables
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.formats.types import definition_text, definitions_of
+from insdvl_replay.logs.formats.definitions import definition_text, definitions_of
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 BARE = definition_text(IMU_TYPE).split("=" * 80)[0]

@@ -16,7 +16,7 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.clocks import clock_notes, measure_clock, stamp_unit
-from insdvl_replay.logs.formats.types import definition_text
+from insdvl_replay.logs.formats.definitions import definition_text
 
 START_NS = 1_700_000_000_000_000_000
 DAY_S = 86_400.0

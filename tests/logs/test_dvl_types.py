@@ -19,7 +19,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry import frames
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.known_types import TYPES
-from insdvl_replay.logs.formats.types import definition_text
+from insdvl_replay.logs.formats.definitions import definition_text
 
 TIMES = 0.1 * np.arange(20)
 TRUE_D = np.stack([1.0 + 0.1 * np.sin(TIMES), 0.1 * np.cos(2.0 * TIMES) + 0.2, 0.05 * np.cos(TIMES)], axis=1)

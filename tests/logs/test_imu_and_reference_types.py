@@ -16,7 +16,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.known_types import TYPES
-from insdvl_replay.logs.formats.types import definition_text
+from insdvl_replay.logs.formats.definitions import definition_text
 
 TIMES = 0.1 * np.arange(20)
 BOOT_US = 12_345_678

@@ -18,9 +18,9 @@ from rosbags.typesys.store import Typestore
 
 from insdvl_replay.logs.columns.known_types import SOLUTIONS, TYPES, KnownType, Types
 from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
+from insdvl_replay.logs.formats.definitions import definition_text
 from insdvl_replay.logs.formats.fields import channel_paths, find_path, open_reader, split_paths
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.types import definition_text
 
 TABLES: list[Types] = [
     *TYPES.values(),

@@ -12,8 +12,8 @@ from mcap_ros2.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.formats.definitions import parse_definitions
 from insdvl_replay.logs.formats.layout import layout_for_texts, message_layout
-from insdvl_replay.logs.formats.types import parse_definitions
 
 TYPE = "pkg/msg/Everything"
 TEXT = """\

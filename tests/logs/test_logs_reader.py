@@ -16,7 +16,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.imu import in_frd
-from insdvl_replay.logs.formats.types import definition_text
+from insdvl_replay.logs.formats.definitions import definition_text
 from insdvl_replay.preparation.prepared import read_checked_dive
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

@@ -13,7 +13,7 @@ from insdvl_replay.core.config import Config, Dvl, Imu, Reference
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.formats.types import definition_text
+from insdvl_replay.logs.formats.definitions import definition_text
 
 Message = tuple[str, str, float, dict[str, Any]]
 START_NS = 1_700_000_000_000_000_000

@@ -15,8 +15,8 @@ from rosbags.typesys import get_types_from_idl
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.definitions import definition_text, parse_definitions
 from insdvl_replay.logs.formats.layout import BinaryReader
-from insdvl_replay.logs.formats.types import definition_text, parse_definitions
 
 TYPE = "test_msgs/msg/Ping"
 RULE = "=" * 80

@@ -8,7 +8,7 @@ from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_typestore
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.formats.types import Field, definition_folders, definition_text, parse_definitions
+from insdvl_replay.logs.formats.definitions import Field, definition_folders, definition_text, parse_definitions
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"

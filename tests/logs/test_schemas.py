@@ -8,7 +8,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay import __version__
 from insdvl_replay.core.states import STATES
-from insdvl_replay.logs.formats.types import definition_text, parse_definitions
+from insdvl_replay.logs.formats.definitions import definition_text, parse_definitions
 
 PACKAGE = Path(__file__).resolve().parents[2] / "schemas" / "insdvl_msgs"
 TYPES = sorted(file.stem for file in (PACKAGE / "msg").glob("*.msg"))

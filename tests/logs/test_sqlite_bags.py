@@ -19,9 +19,9 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.definitions import definition_text, full_name
 from insdvl_replay.logs.formats.log_file import UnusableFileError
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.types import definition_text, full_name
 
 
 @pytest.fixture(scope="module")

@@ -130,7 +130,7 @@ def test_commands_take_it_from_a_file(truth: Dive, tmp_path: Path, capsys: pytes
     assert run_command_line(["calibrate", *command, "--reference", "--format", "json"]) == 0
     result = msgspec.json.decode(capsys.readouterr().out.partition("{")[2].join(["{", ""]))
     assert result["config"]["initial"]["heading_deg"] == "fit"
-    (start,) = result["reference"]["starts"]
+    (start,) = result["tables"]["starts"]
     assert truth.reference is not None
     off_deg = turned_deg(start["heading_deg"], heading_deg(truth.reference.mat_nb[0]))
     assert abs(off_deg) < 3.0 * start["heading_sd_deg"] < 3.0

@@ -7,7 +7,6 @@ import msgspec
 import numpy as np
 import pytest
 from contaminated_dives import competitors
-from insdvl_replay.sim.sensors import SensorErrors
 
 from insdvl_replay.core.config import Config, Evaluation, Filter, Heading, Initial, Position
 from insdvl_replay.core.dive_columns import Dive
@@ -15,6 +14,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.sensor_errors import SensorErrors
 from insdvl_replay.studies.montecarlo import matched_errors
 
 DIVES, EARTH_M = 20, 6.371e6

@@ -76,7 +76,7 @@ def test_a_report_of_another_form_names_the_version_that_wrote_it(tmp_path: Path
 DEEP = '{"config": {"dvl": ' + "[" * 100_000 + "]" * 100_000 + "}}"
 
 
-@pytest.mark.parametrize("data", [b"", b'{"log": ', b'{"study": "\xff"}', DEEP.encode()], ids=["", "cut", "ff", "deep"])
+@pytest.mark.parametrize("data", [b"", b'{"log": ', b'{"kind": "\xff"}', DEEP.encode()], ids=["", "cut", "ff", "deep"])
 def test_bytes_that_are_no_report_are_refused(data: bytes, tmp_path: Path) -> None:
     write(tmp_path, content())
     (tmp_path / "report.json").write_bytes(data)

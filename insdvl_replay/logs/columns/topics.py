@@ -11,9 +11,9 @@ import msgspec
 from insdvl_replay.core.config import key_of
 from insdvl_replay.core.errors import LogError, error_context, listed, nearest
 from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
+from insdvl_replay.logs.formats.definitions import full_name
 from insdvl_replay.logs.formats.fields import Element, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
-from insdvl_replay.logs.formats.types import full_name
 
 OWN_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign

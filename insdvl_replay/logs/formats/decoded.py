@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.formats.definitions import MOST_LEVELS, MOST_PATHS, too_large
 from insdvl_replay.logs.formats.fields import NUMBER, TEXT, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block
-from insdvl_replay.logs.formats.types import MOST_LEVELS, MOST_PATHS, too_large
 
 _STRUCTURE: Final = "object"  # the kind of a JSON object
 

@@ -114,8 +114,8 @@ def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | No
             raise LogError(text, "record the one that is meant on a topic of its own")
         make = protobuf_reader if channel.encoding == "protobuf" else JsonReader
         return make(channel.type_name, channel.schema_data, paths)
+    from insdvl_replay.logs.formats.definitions import definitions_of
     from insdvl_replay.logs.formats.layout import BinaryReader
-    from insdvl_replay.logs.formats.types import definitions_of
 
     definitions = definitions_of(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding)
     return BinaryReader(definitions, channel.type_name, paths, is_cdr=channel.encoding == "cdr", element=element)

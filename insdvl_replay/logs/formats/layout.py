@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs.formats.definitions import LEAVE_OUT, PRIMITIVES, Definitions, binary_paths, full_name
 from insdvl_replay.logs.formats.fields import ROWS, Columns, Element, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block, gather
-from insdvl_replay.logs.formats.types import LEAVE_OUT, PRIMITIVES, Definitions, binary_paths, full_name
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"  # begins each little-endian XCDR1 message
 MOST_PLACES: Final = 1 << 18  # fields and structures of a message, each element of a list of structures for itself
