@@ -67,14 +67,14 @@ def lines(world: World, dives: int, starts: int) -> Iterator[str]:
         replay = replay_dive(made, msgspec.structs.replace(config, evaluation=Evaluation(starts=starts, seed=dive)))
         (found,) = replay.verdicts.values()
         rows = replay.tables.evidence
-        if found.improvement != Judgement.NOT_JUDGED:
+        if found.improvement != Judgement.NOT_EVALUATED:
             evidence.append(rows)
         told = {row.quantity: f"{row.baseline:.2f} -> {row.value:.2f} {row.unit}" for row in rows}
         ratios = {row.quantity: row.ratio for row in rows}
         nis = next(row for row in replay.tables.consistency if row.measurement == "position")
         yield (
             f"{found.improvement}: position {told['position']}, at the end {told['position_end']}, "
-            f"drift in 60 s {ratios['drift_60s']:.3f}, outages of 60 s {ratios['coasting_60s']:.3f}, "
+            f"drift in 60 s {ratios['drift_60s']:.3f}, outages of 60 s {ratios['outage_60s']:.3f}, "
             f"NIS of fixes {nis.mean_nis:.3g} ({nis.dof} expected)"
         )
     yield pooled_sentence(pooled_candidate("fixed", "baseline", evidence, dives))

@@ -40,12 +40,12 @@ from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start
 
 DIVES, SEA_DIVES = 60, 24
 TRUTH_DIVES, TRUTH_ALONE = 72, 1000
-"""So many more dives in each world at sea, from this number on, tell what is true and are not judged."""
+"""So many more dives in each world at sea, from this number on, tell what is true and are not evaluated."""
 EXCHANGES = 200
 """So many groups of dives of each pair of equal filters, which are exchanged at random."""
 FEW, POOLED = 3, 8
 """Dives that are pooled, disjoint groups in the order of their numbers."""
-WORDS: Final = ("better", "equivalent", "undecided", "mixed", "worse", "not judged")
+WORDS: Final = ("better", "equivalent", "undecided", "mixed", "worse", "not evaluated")
 LONG_S: Final = 3600.0
 STARTS: Final = ("reference", "drawn")
 """The truth of filters that start on the reference, and of filters whose start errs as much as they allow for."""
@@ -57,8 +57,8 @@ def word_of_replay(replay: Replay, candidate: str) -> str:
 
 
 def evidence_of_replay(replay: Replay, candidate: str) -> list[EvidenceRow]:
-    """Give the evidence of a dive on a candidate; none where it is not judged."""
-    if replay.verdicts[candidate].improvement == Judgement.NOT_JUDGED:
+    """Give the evidence of a dive on a candidate; none where it is not evaluated."""
+    if replay.verdicts[candidate].improvement == Judgement.NOT_EVALUATED:
         return []
     return [row for row in replay.tables.evidence if row.filter == candidate]
 
@@ -102,7 +102,7 @@ def judged_dive(task: tuple[int, ...]) -> JudgedDive:
             dive = read_checked_dive(path, world.config)
             replay = replay_dive(dive, _with_own_draws(world.config, seed))
         except LogError:
-            return JudgedDive(number, dict.fromkeys(world.candidates, "not judged"), {}, {}, None)
+            return JudgedDive(number, dict.fromkeys(world.candidates, "not evaluated"), {}, {}, None)
     return JudgedDive(
         number,
         {name: word_of_replay(replay, name) for name in world.candidates},
@@ -241,7 +241,7 @@ QUESTIONS: Final = (
     Question("truly the same, said better or worse", "B", frozenset({"better", "worse"}), "at most 4 %", "at most 1 %"),
     Question("truly worse, said worse", "C", frozenset({"worse"}), "at least 60 %", "100 %"),
     Question("truly worse, said better", "C", frozenset({"better"}), "at most 1 %", "0"),
-    Question("dead, said anything but *not judged*", "D", frozenset(WORDS) - {"not judged"}, "0", "0"),
+    Question("dead, said anything but *not evaluated*", "D", frozenset(WORDS) - {"not evaluated"}, "0", "0"),
 )
 
 
@@ -409,7 +409,7 @@ def sea_page(candidates: Sequence[Judged], dives: int, start: str, took_s: float
             *("# Judgement at sea", "", about, ""),
             *table(("", *rates_of), sea_rates(candidates)),
             *("", f"Equal filters, exchanged at random in groups of dives: {equal} are better or worse.", ""),
-            *("b: better, e: equivalent, u: undecided, m: mixed, w: worse, n: not judged.", ""),
+            *("b: better, e: equivalent, u: undecided, m: mixed, w: worse, n: not evaluated.", ""),
             *table(columns, said),
             *("", f"{machine()}; {took_s:.0f} s."),
         ]

@@ -29,7 +29,7 @@ DIVES, LENGTH_S, STARTS = 20, 600.0, 8
 OFF_BY_MPS = (0.05, 0.2, 1.0)
 TIMES = 3.0
 WITH_POSITION = ("position",)
-WORDS = ("better", "worse", "mixed", "equivalent", "undecided", "not judged")
+WORDS = ("better", "worse", "mixed", "equivalent", "undecided", "not evaluated")
 DRIFT, NIS = "drift_60s", "nis"
 
 

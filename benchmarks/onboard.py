@@ -28,7 +28,7 @@ from insdvl_replay.sim.dive import simulate_dive
 DIVES, LENGTH_S = 24, 400.0
 PRESETS = ("mems", "tactical")
 FACTORS = (1.0, 5.0, 0.2)
-WORDS = ("better", "worse", "mixed", "equivalent", "undecided", "not judged")
+WORDS = ("better", "worse", "mixed", "equivalent", "undecided", "not evaluated")
 
 
 def flown_dive(preset: str, config: Config, seed: int, factor: float) -> Dive:

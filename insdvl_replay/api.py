@@ -163,12 +163,12 @@ class Result:
 
     @property
     def words(self) -> dict[str, str]:
-        """The word on each candidate: better, worse, mixed, equivalent, undecided or not judged."""
+        """The word on each candidate: better, worse, mixed, equivalent, undecided or not evaluated."""
         return {name: str(candidate.improvement) for name, candidate in self.report.filters.items()}
 
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:
-        """Each table as a data frame, by its name, such as evidence or coasting; NaN for what is missing."""
+        """Each table as a data frame, by its name, such as evidence or outage; NaN for what is missing."""
         import pandas as pd
         from msgspec.structs import asdict
 

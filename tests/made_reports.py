@@ -11,7 +11,6 @@ from insdvl_replay.core.result import Report, build_report
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import (
     Candidate,
-    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
@@ -19,6 +18,7 @@ from insdvl_replay.core.tables import (
     EvidenceRow,
     ImprovementRow,
     JumpRow,
+    OutageRow,
     ReferenceErrorRow,
     Tables,
     TrackFitRow,
@@ -44,21 +44,21 @@ def tables() -> Tables:
     consistency = [
         ("dive", "baseline", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", -0.05, 0.095, "white"),
         ("dive", "aided", "velocity", 3, 424, 0, 3.01, 2.77, 3.24, "consistent", 0.3, 0.095, "correlated"),
-        ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "over-confident", NAN, NAN, "not finite"),
-        ("dive", "aided", "acceleration_x", 1, 420, 2, 12.0, 0.9, 1.1, "over-confident", 0.1, 0.095, "white"),
+        ("dive", "aided", "acceleration", 3, 420, 2, 5.0, 2.77, 3.24, "overconfident", NAN, NAN, "not finite"),
+        ("dive", "aided", "acceleration_x", 1, 420, 2, 12.0, 0.9, 1.1, "overconfident", 0.1, 0.095, "white"),
     ]
     credibility = [
         ("dive", "aided", "velocity_n", 1, 424, 1.1, 0.87, 1.14, 66.0, 99.5, "consistent", 400.1),
         ("dive", "aided", "heading", 1, 0, NAN, NAN, NAN, NAN, NAN, "not in reference", NAN),
-        ("dive", "aided", "ba_x", 1, 424, 5.0, 0.01, 4.9, 10.0, 90.0, "over-confident", 1.2),
-        ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "over-confident", 40.0),
+        ("dive", "aided", "ba_x", 1, 424, 5.0, 0.01, 4.9, 10.0, 90.0, "overconfident", 1.2),
+        ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "overconfident", 40.0),
     ]
     evidence = [
         ("accuracy", "drift_30s", "m", 1.0, 0.8, 0.8, 0.7, 0.9, 20.5, 16, 74, "better"),
         ("convergence", "convergence_level", "s", NAN, NAN, NAN, NAN, NAN, 15.0, 15, 0, "undecided"),
-        ("honesty", "nis", "", 1.5, 1.0, 0.66, NAN, NAN, NAN, 1, 0, "better"),
+        ("consistency", "nis", "", 1.5, 1.0, 0.66, NAN, NAN, NAN, 1, 0, "better"),
     ]
-    coasting = [
+    outage = [
         ("dive", "baseline", "30", 9, 0, 0.5, 0.6, 1.1, 2.0, 0.04, 0.1, NAN, NAN, NAN, NAN, 1.1),
         ("dive", "aided", "30", 9, 0, 0.4, 0.5, 0.9, 1.5, 0.03, 0.1, 0.8, 0.7, 0.95, 66.7, 1.0),
     ]
@@ -80,7 +80,7 @@ def tables() -> Tables:
         [ConsistencyRow(*row) for row in consistency],
         [CredibilityRow(*row) for row in credibility],
         [EvidenceRow("dive", "aided", *row) for row in evidence],
-        [CoastingRow(*row) for row in coasting],
+        [OutageRow(*row) for row in outage],
         [DriftRow("dive", *row) for row in drift],
         [TrackFitRow("dive", *row) for row in track_fit],
         [JumpRow("dive", "aided", 2119, 2, 1.31, 207.4)],
@@ -105,8 +105,8 @@ def report(name: str = "dive", used: Tables | None = None) -> Report:
         mean_over_nine(used.improvement, "aided"),
         mean_over_nine(used.convergence, "aided"),
         float("nan"),
-        "over-confident",
-        "not borne out",
+        "overconfident",
+        "not confirmed",
     )
     return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
 
@@ -117,7 +117,7 @@ def unreferenced(used: Tables) -> Tables:
         used,
         reference_error=[replace(row, samples=0, status="no reference") for row in used.reference_error],
         credibility=[replace(row, samples=0, verdict="no reference") for row in used.credibility],
-        evidence=[row for row in used.evidence if row.evidence in ("coasting", "honesty")],
+        evidence=[row for row in used.evidence if row.evidence in ("outage", "consistency")],
         drift=[],
         track_fit=[],
     )

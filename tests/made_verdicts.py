@@ -39,7 +39,7 @@ def judged(
         EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, starts, 60, word)
         for quantity, word in zip(EVIDENCE_QUANTITIES, words, strict=False)
     ]
-    pieces.append(EvidenceRow(*row, "honesty", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, honesty))
+    pieces.append(EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, honesty))
     tables = Tables(
         [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
         [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
@@ -68,8 +68,8 @@ def consistency(filter_: str, measurement: str, verdict: str) -> ConsistencyRow:
 
 def of_errors(filter_: str, attitude: str) -> list[CredibilityRow]:
     """Velocities that are consistent where the attitude could be judged, and all states together always."""
-    velocity = attitude if attitude in {"no reference", "too few"} else "consistent"
-    rows = ("heading", "too few"), ("velocity", velocity), ("attitude", attitude), ("all", "consistent")
+    velocity = attitude if attitude in {"no reference", "insufficient data"} else "consistent"
+    rows = ("heading", "insufficient data"), ("velocity", velocity), ("attitude", attitude), ("all", "consistent")
     return [credibility(filter_, *row) for row in rows]
 
 

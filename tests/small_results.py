@@ -48,7 +48,7 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
                 "encoding": "cdr", "role": "imu", "messages": 100}]},
         "baseline": "baseline",
         "filters": {filter_: {"verdict": "a sentence", "improvement": changes.get("improvement", "better"),
-                              "belief": changes.get("belief", "borne out"),
+                              "belief": changes.get("belief", "confirmed"),
                               "consistency": verdict, "mean_improvement_pct": 50.0,
                               "mean_convergence_improvement_pct": 60.0, "reference_improvement_pct": 20.0}},
         "tables": {"improvement": improvement, "convergence": convergence, "reference_error": errors,

@@ -337,7 +337,7 @@ def ensemble_sd(ensemble: Ensemble, state: str, time_s: float) -> float:
 
 
 def larger_sd(ensemble: Ensemble, state: str, time_s: float) -> float:
-    """Give sigma from P or that over the runs up to a time, whichever is larger: P alone may be over-confident."""
+    """Give sigma from P or that over the runs up to a time, whichever is larger: P alone may be overconfident."""
     row = np.flatnonzero(ensemble.time_s <= time_s)[-1]
     larger = max(ensemble.sd[row, INDEX[state]], ensemble.error_sd[row, INDEX[state]])
     return float(larger / FACTOR[state])

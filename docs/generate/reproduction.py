@@ -1,6 +1,6 @@
 """The parts of docs/reproduction.md that the program writes: every table, figure and claim of the paper beside ours.
 
-    python pages/reproduction.py [FOLDER]
+    python docs/generate/reproduction.py [FOLDER]
 
 FOLDER holds the eight dives of the AUV Snapir. A test holds the page equal to what this writes.
 """
@@ -54,7 +54,7 @@ FOG_STUDIES = (
 )
 FOG_RUNS = 50
 TOGETHER = (
-    "drift_30s", "velocity_along", "velocity_across", "level", "heading", "coasting_30s", "coasting_60s",
+    "drift_30s", "velocity_along", "velocity_across", "level", "heading", "outage_30s", "outage_60s",
     "convergence_level",
 )  # fmt: skip
 """Evidence that is shown of the eight dives together."""
@@ -292,7 +292,7 @@ def noise(found: Findings) -> str:
         for name in ("windowed", "published"):
             evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in dives]
             pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
-            outages = (_of_eight(name, pooled[quantity])[2] for quantity in ("coasting_30s", "coasting_60s"))
+            outages = (_of_eight(name, pooled[quantity])[2] for quantity in ("outage_30s", "outage_60s"))
             median_m = claims.position_errors(dives).median()
             rms = f"{median_m['baseline']:.2f}", f"{median_m[name]:.2f}"
             nis = f"{claims.mean_nis(dives).median() / 3.0:.2g}"

@@ -361,7 +361,7 @@ def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
         ends = [Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))]
         caption = f"Median drift in 60 s without velocities; {counted(len(pairs), 'dive')} had windows."
         panel = Panel("horizontal drift [m]", _PLACES, (bars, *ends), x_whole=True)
-        yield Figure("Coasting on dives that were not fitted", caption, (panel,), _LEGEND)
+        yield Figure("Outages on dives that were not fitted", caption, (panel,), _LEGEND)
 
 
 def _interrupted(low: Floats, high: Floats) -> Floats:

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 
 from insdvl_replay.core.errors import ResultError
-from insdvl_replay.core.quantities import HONESTY
+from insdvl_replay.core.quantities import CONSISTENT
 from insdvl_replay.core.result import Cell, Row, StoredReport, StoredResult
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, Better, Number, TableLayout
 from insdvl_replay.core.words import ChangeWord
@@ -140,7 +140,7 @@ def direction_of(layout: TableLayout, column: str, row: Row) -> tuple[Better | N
 
     A mean NIS or NEES over its degrees of freedom, as the evidence on honesty has it, is better the nearer it is to 1.
     """
-    if layout.name == "evidence" and row.get("evidence") == HONESTY and column in ("baseline", "value"):
+    if layout.name == "evidence" and row.get("evidence") == CONSISTENT and column in ("baseline", "value"):
         return "nearer dof", 1.0
     dof = row.get("dof")
     return layout.better.get(column), float(dof) if isinstance(dof, int | float) else math.nan

@@ -65,7 +65,7 @@ OF_GAIN: Final = frozenset(
     (
         ("filters", "belief"),
         ("evidence", "word"),
-        *(("coasting", column) for column in ("ratio_to_baseline", "ratio_low", "ratio_high", "windows_won_pct")),
+        *(("outage", column) for column in ("ratio_to_baseline", "ratio_low", "ratio_high", "windows_won_pct")),
     )
 )
 Allowance = Annotated[float, Meta(ge=0)]
@@ -386,7 +386,7 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
         evidence = [
             [row for row in report.tables.get("evidence", []) if row.get("filter") == name]
             for report in reports
-            if name in report.filters and report.filters[name].get("improvement") != Word.NOT_JUDGED
+            if name in report.filters and report.filters[name].get("improvement") != Word.NOT_EVALUATED
         ]
         rows += [asdict(row) for row in pooled_evidence(name, msgspec.convert(evidence, list[list[EvidenceRow]]))]
     return Checked(EVERY_DIVE, StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline))
@@ -475,11 +475,11 @@ def _means(gate: Gate, layout: TableLayout, row: Row) -> bool:
 def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, report: StoredReport) -> str:
     """State why a cell does not pass; empty if it does."""
     value, column, unit = row.get(gate.column), gate.column, _unit(layout, row, gate.column)
-    # A cell of gain or loss fails where the filter is not judged; the verdict itself can pass.
+    # A cell of gain or loss fails where the filter is not evaluated; the verdict itself can pass.
     is_beside = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
-    if is_gain and report.filters.get(str(row["filter"]), {}).get("improvement") == Word.NOT_JUDGED:
-        return f"is {value_text(value)}, and the filter is {Word.NOT_JUDGED}"
+    if is_gain and report.filters.get(str(row["filter"]), {}).get("improvement") == Word.NOT_EVALUATED:
+        return f"is {value_text(value)}, and the filter is {Word.NOT_EVALUATED}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
         return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
     if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):

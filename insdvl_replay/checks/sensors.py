@@ -86,7 +86,7 @@ def sensor_notes(
             same = _same_reading(name, columns.values[ours], _rows(reference, theirs))
         if (count := int(same.sum())) > _OWN_SHARE * len(columns.time_ns):
             text = f"{count} of {len(columns.time_ns)} readings of the {name} are the reference's own"
-            hint = f'evaluation.withheld = ["{name}"] judges by them; filters aided by them need another reference'
+            hint = f'evaluation.held_out = ["{name}"] judges by them; filters aided by them need another reference'
             notes.append(warning(f"{name}{IS_REFERENCE}", text, count, hint))
     return tuple(notes)
 

@@ -245,7 +245,7 @@ class Kind(StrEnum):
     TRACK = "track"
     SIGMA = "sigma"
     NIS = "nis"
-    COASTING = "coasting"
+    OUTAGE = "outage"
     CONVERGENCE = "convergence"
 
 
@@ -260,7 +260,7 @@ class PictureFormat(StrEnum):
 
 def figure(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result folder.")],
-    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="error, track, sigma, nis, coasting or convergence.")],
+    kind: Annotated[Kind, typer.Argument(metavar="KIND", help="error, track, sigma, nis, outage or convergence.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: KIND and the format, here.")
     ] = None,
@@ -302,7 +302,7 @@ def figure(
         hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_.value}')}"
         raise ConfigError(f"{target}: does not end in .{format_.value}", hint)
     with result_file(target, force=force) as path:
-        figure = paper_figure(kind.value, trajectory, report.tables.get("coasting", []), chosen)
+        figure = paper_figure(kind.value, trajectory, report.tables.get("outage", []), chosen)
         if not figure.panels:
             raise ConfigError(f"there is nothing to draw for {kind.value}", f"kinds: {', '.join(KINDS)}")
         path.write_bytes(drawn(figure, format_.value, width_mm))

@@ -383,7 +383,7 @@ class Evaluation(Section, frozen=True):
     seed: Annotated[
         Annotated[int, Meta(ge=0, le=4_294_967_295)], Comment("of the draws; another one shows what hangs on them")
     ] = 0
-    withheld: Annotated[
+    held_out: Annotated[
         tuple[str, ...],
         Comment(f"sensors that no filter is told of, but judged by: {' | '.join(SENSORS)}"),
     ] = ()
@@ -438,7 +438,7 @@ class Config(Section, frozen=True):
     @property
     def sensors(self) -> tuple[str, ...]:
         """The sensors that a replay reads: those that aid filters, that they start from, or that are held out."""
-        asked = {*self.evaluation.withheld, *(word for filter_ in self.filters.values() for word in filter_.aiding)}
+        asked = {*self.evaluation.held_out, *(word for filter_ in self.filters.values() for word in filter_.aiding)}
         asked |= {"heading"} if BY_SENSOR in (self.initial.source, self.initial.heading_deg) else set()
         return tuple(name for name in SENSORS if name in asked)
 

@@ -417,8 +417,8 @@ def _check_across_keys(config: Config, layers: Sequence[TomlSource], *, allow_co
                 if word in words[:place]:
                     raise ConfigError(f"{key} '{word}' stands there already", "leave one of them out")
 
-    withheld = config.evaluation.withheld
-    check_words(withheld, SENSORS, "evaluation", "withheld")
+    held_out = config.evaluation.held_out
+    check_words(held_out, SENSORS, "evaluation", "held_out")
     if not config.filters:
         raise ConfigError(
             f"{where('filters')}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
@@ -441,7 +441,7 @@ def _check_across_keys(config: Config, layers: Sequence[TomlSource], *, allow_co
         check_words(filter_.states, MORE_STATES, "filters", name, "states")
         with error_context(where("filters", name)):
             if filter_.solution is None:
-                _check_filter(filter_, withheld, f"filters.{name}")
+                _check_filter(filter_, held_out, f"filters.{name}")
             else:
                 _check_solution(filter_, f"filters.{name}", is_baseline=name == config.baseline)
     for name, filter_ in config.filters.items():
@@ -478,7 +478,7 @@ def _check_solution(filter_: Filter, key: str, *, is_baseline: bool) -> None:
         )
 
 
-def _check_filter(filter_: Filter, withheld: Sequence[str], key: str) -> None:
+def _check_filter(filter_: Filter, held_out: Sequence[str], key: str) -> None:
     if not filter_.aiding:
         raise ConfigError(f"{key}.aiding names nothing", 'aiding = ["velocity"]')
     if {"velocity", "beams"} <= set(filter_.aiding):
@@ -490,7 +490,7 @@ def _check_filter(filter_: Filter, withheld: Sequence[str], key: str) -> None:
             f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
         )
     for state in filter_.states:
-        if not set(_MEASURED_BY.get(state, filter_.aiding)) & {*filter_.aiding, *withheld}:
+        if not set(_MEASURED_BY.get(state, filter_.aiding)) & {*filter_.aiding, *held_out}:
             raise ConfigError(
                 f"{key} estimates {state}, and is aided by nothing that tells it",
                 f"{key}.aiding with {' or '.join(_MEASURED_BY[state])}, or {key}.states without {state}",

@@ -43,13 +43,13 @@ class Innovations:
         Left out, the rejected ones would let a diverged filter seem in order; in full, a single outlier of the DVL,
         which a gate is there for, would decide over all others.
         """
-        if self.is_withheld or not np.isfinite(self.gate):
+        if self.is_held_out or not np.isfinite(self.gate):
             return np.ones_like(self.nis)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.minimum(1.0, self.gate / self.nis)
 
     @property
-    def is_withheld(self) -> bool:
+    def is_held_out(self) -> bool:
         """Whether the filter got none of them."""
         return self.gate < 0.0
 

@@ -7,11 +7,11 @@ from insdvl_replay.core.words import Consistency
 
 VERDICTS_BEST_FIRST: Final = (
     Consistency.CONSISTENT,
-    Consistency.OVER_CAUTIOUS,
-    Consistency.OVER_CONFIDENT,
+    Consistency.CONSERVATIVE,
+    Consistency.OVERCONFIDENT,
     Consistency.NOT_FINITE,
 )
-"""On a filter's consistency; ``too few`` says nothing of it and has no rank."""
+"""On a filter's consistency; ``insufficient data`` says nothing of it and has no rank."""
 
 REFERENCE_QUANTITIES: Final = {
     "velocity_n": "m/s",
@@ -55,7 +55,7 @@ def is_whole(measurement: str) -> bool:
 PARITY: Final = "parity"
 """How the four beams of a ping agree: noise that is measured without a filter."""
 _BEAM: Final = "beam_"
-WITHHELD: Final = "withheld_"
+HELD_OUT: Final = "held_out_"
 """So begins the name of a sensor of whose readings no filter is told."""
 
 
@@ -65,7 +65,7 @@ IS_REFERENCE: Final = "_is_reference"
 
 def is_used(measurement: str) -> bool:
     """Distinguish a whole measurement that a filter predicts and uses, by which it is judged honest or not."""
-    return is_whole(measurement) and measurement != PARITY and not measurement.startswith(WITHHELD)
+    return is_whole(measurement) and measurement != PARITY and not measurement.startswith(HELD_OUT)
 
 
 def beam_name(number: int) -> str:
@@ -84,14 +84,14 @@ MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
     **{beam_name(number): () for number in range(1, 5)},
     PARITY: (),
     **{name: sensor.components for name, sensor in SENSORS.items()},
-    **{f"{WITHHELD}{name}": sensor.components for name, sensor in SENSORS.items()},
+    **{f"{HELD_OUT}{name}": sensor.components for name, sensor in SENSORS.items()},
 }
 """What filters are aided by, each with the names of its components."""
 
 
 def is_reserved(measurement: str) -> bool:
     """Return whether the tool gives this name to measurements of its own, which nobody else's may have."""
-    of_a_kind = is_beam(measurement) or measurement.startswith(WITHHELD)
+    of_a_kind = is_beam(measurement) or measurement.startswith(HELD_OUT)
     return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
 
 
@@ -109,15 +109,15 @@ DRIFT_QUANTITIES: Final = {
 """Rows of drift and their units: the horizontal position, what it drifts by over stretches, and the velocity."""
 TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}
 """Rows of the track fit and their units."""
-COASTING_WINDOWS_S: Final = ("30", "60", "120", "300")
+OUTAGE_WINDOWS_S: Final = ("30", "60", "120", "300")
 """Lengths for which the DVL is withheld."""
-_COASTING: Final = tuple(f"coasting_{window}s" for window in COASTING_WINDOWS_S)
+_OUTAGE: Final = tuple(f"outage_{window}s" for window in OUTAGE_WINDOWS_S)
 CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
 """Errors whose convergence is measured, and how `errors.squared_errors` names them."""
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
-WITHHELD_QUANTITIES: Final = tuple(f"{WITHHELD}{name}" for name in SENSORS)
+HELD_OUT_QUANTITIES: Final = tuple(f"{HELD_OUT}{name}" for name in SENSORS)
 """Differences from sensors that are withheld."""
-HONESTY: Final = "honesty"
+CONSISTENT: Final = "consistency"
 """Evidence whether innovations and errors are as large as a filter says; it has no vote."""
 TRACK: Final = {
     "position": ("m", "position_h", "rmse"),
@@ -127,17 +127,17 @@ TRACK: Final = {
     "depth": ("m", "depth", "rmse"),
 }
 """Errors of the track of a whole dive, one sample each: unit, and row and column of the reference errors."""
-_NO_VOTE: Final = ("depth_60s", f"{WITHHELD}depth")
-DECIDING: Final = (*(name for name in (*ACCURACY, *_COASTING, *WITHHELD_QUANTITIES) if name not in _NO_VOTE),)
+_NO_VOTE: Final = ("depth_60s", f"{HELD_OUT}depth")
+DECIDING: Final = (*(name for name in (*ACCURACY, *_OUTAGE, *HELD_OUT_QUANTITIES) if name not in _NO_VOTE),)
 """Quantities by which a candidate is better or worse."""
 DECIDING_TOGETHER: Final = (*DECIDING, "position", "position_end", "depth", *_CONVERGENCE)
 """Those by which several dives decide. One dive is one sample of its track; and of the sensors, by which filters
 converge."""
-EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_COASTING, *WITHHELD_QUANTITIES, *_CONVERGENCE, "nis", "nees")
+EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_OUTAGE, *HELD_OUT_QUANTITIES, *_CONVERGENCE, "nis", "nees")
 """Rows of evidence, each name once."""
 _LABELS: Final = {
     **{state.id: state.label for state in STATES},
-    **{f"coasting_{window}s": f"coasting {window} s" for window in COASTING_WINDOWS_S},
+    **{f"outage_{window}s": f"DVL outage {window} s" for window in OUTAGE_WINDOWS_S},
     "drift_30s": "drift in 30 s",
     "drift_60s": "drift in 60 s",
     "drift_100m": "drift in 100 m",

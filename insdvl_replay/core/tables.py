@@ -15,12 +15,12 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
-    COASTING_WINDOWS_S,
     CREDIBILITY_QUANTITIES,
     DRIFT_QUANTITIES,
     EVIDENCE_QUANTITIES,
     JOINT,
     MEASUREMENTS,
+    OUTAGE_WINDOWS_S,
     POSITION_QUANTITIES,
     REFERENCE_QUANTITIES,
     TRACK_FIT_QUANTITIES,
@@ -240,8 +240,8 @@ class ConsistencyRow(Struct, frozen=True):
     verdict: Annotated[
         str,
         Col(
-            "consistent, over-confident, over-cautious, too few, not finite; not told of a filter without the states"
-            " that a withheld sensor needs.",
+            "consistent, overconfident, conservative, insufficient data, not finite; not available for a filter "
+            "without the states that a held-out sensor needs.",
             head="verdict",
             best_first=VERDICTS_BEST_FIRST,
         ),
@@ -255,7 +255,8 @@ class ConsistencyRow(Struct, frozen=True):
     ] = None
     autocorrelation_limit: Number = None
     whiteness: Annotated[
-        str, Col("white, correlated, too few or not finite.", best_first=(Whiteness.WHITE, Whiteness.CORRELATED))
+        str,
+        Col("white, correlated, insufficient data or not finite.", best_first=(Whiteness.WHITE, Whiteness.CORRELATED)),
     ] = ""
     why: Annotated[str, _WHY] = ""
 
@@ -298,7 +299,7 @@ class CredibilityRow(Struct, frozen=True):
     verdict: Annotated[
         str,
         Col(
-            "consistent, over-confident, over-cautious, too few, not finite, not in reference or no reference.",
+            "consistent, overconfident, conservative, insufficient data, not finite, not in reference or no reference.",
             head="verdict",
             best_first=VERDICTS_BEST_FIRST,
         ),
@@ -316,7 +317,7 @@ class EvidenceRow(Struct, frozen=True):
 
     log: Annotated[str, Col("Dive, candidate, kind of evidence and quantity.")]
     filter: str
-    evidence: Annotated[str, Col("accuracy, coasting, withheld, track, convergence or honesty.")]
+    evidence: Annotated[str, Col("accuracy, outage, held_out, track, convergence or consistency.")]
     quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
     unit: Annotated[str, _unit("Unit of the two values.")]
     baseline: Annotated[
@@ -350,7 +351,7 @@ class EvidenceRow(Struct, frozen=True):
     word: Annotated[
         str,
         Col(
-            "better, worse, equivalent or undecided; empty where the filter is not judged.",
+            "better, worse, equivalent or undecided; empty where the filter is not evaluated.",
             head="word",
             best_first=(EvidenceWord.BETTER, EvidenceWord.EQUIVALENT, EvidenceWord.UNDECIDED, EvidenceWord.WORSE),
         ),
@@ -366,7 +367,7 @@ class EvidenceRow(Struct, frozen=True):
     why: Annotated[str, Col("What keeps the row from deciding, if it is not the interval.", head="why")] = ""
 
 
-class CoastingRow(Struct, frozen=True):
+class OutageRow(Struct, frozen=True):
     """How far a filter drifts in some time without velocities, beside the baseline."""
 
     about: ClassVar = (
@@ -376,7 +377,7 @@ class CoastingRow(Struct, frozen=True):
     )
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Coasting: drift while the DVL is withheld"
+    title: ClassVar = "DVL outage test: drift while the DVL is withheld"
     footnote: ClassVar = (
         "Where a wrong heading, scale or constant turn of the mounting takes the track is not seen: the DVL itself "
         "shares it."
@@ -384,7 +385,7 @@ class CoastingRow(Struct, frozen=True):
 
     log: Annotated[str, Col("Dive, filter and length of the windows.")]
     filter: Annotated[str, Col(head="filter")]
-    window_s: Annotated[str, Col(head="for [s]", names=COASTING_WINDOWS_S)]
+    window_s: Annotated[str, Col(head="for [s]", names=OUTAGE_WINDOWS_S)]
     windows: Annotated[
         int, Col("Windows that do not overlap, and those left out since DVL or IMU fell silent.", head="windows")
     ]
@@ -576,7 +577,7 @@ class Tables(Struct, frozen=True):
     consistency: list[ConsistencyRow]
     credibility: list[CredibilityRow] = []
     evidence: list[EvidenceRow] = []
-    coasting: list[CoastingRow] = []
+    outage: list[OutageRow] = []
     drift: list[DriftRow] = []
     track_fit: list[TrackFitRow] = []
     jumps: list[JumpRow] = []
@@ -588,7 +589,7 @@ class Candidate(Struct, frozen=True):
     verdict: Annotated[str, Meta(description="one paragraph for people: measured, believed, consistent")]
     improvement: Annotated[
         str,
-        Meta(description="better, worse, mixed, equivalent, undecided or not judged, by all evidence"),
+        Meta(description="better, worse, mixed, equivalent, undecided or not evaluated, by all evidence"),
         Col(best_first=tuple(Judgement)),
     ]
     consistency: Annotated[
@@ -608,7 +609,7 @@ class Candidate(Struct, frozen=True):
     ] = ""
     belief: Annotated[
         str,
-        Meta(description="whether what was measured bears out what it believes: borne out, not borne out, undecided"),
+        Meta(description="whether what was measured bears out what it believes: confirmed, not confirmed, undecided"),
         Col(best_first=tuple(Belief)),
     ] = ""
     mean_convergence_unchanged_pct: Annotated[

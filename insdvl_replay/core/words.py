@@ -7,13 +7,13 @@ class Consistency(StrEnum):
     """Whether innovations, or errors against a reference, are as large as a filter says."""
 
     CONSISTENT = "consistent"
-    OVER_CAUTIOUS = "over-cautious"
-    OVER_CONFIDENT = "over-confident"
+    CONSERVATIVE = "conservative"
+    OVERCONFIDENT = "overconfident"
     NOT_FINITE = "not finite"
-    TOO_FEW = "too few"
+    INSUFFICIENT = "insufficient data"
     NOT_IN_REFERENCE = "not in reference"
     NO_REFERENCE = "no reference"
-    NOT_TOLD = "not told"
+    NOT_AVAILABLE = "not available"
     """A solution that was read has no innovations, or no covariance; or a filter lacks states for a withheld sensor."""
 
 
@@ -36,7 +36,7 @@ class Whiteness(StrEnum):
 
     WHITE = "white"
     CORRELATED = "correlated"
-    TOO_FEW = "too few"
+    INSUFFICIENT = "insufficient data"
     NOT_FINITE = "not finite"
 
 
@@ -60,16 +60,16 @@ class Judgement(StrEnum):
     UNDECIDED = "undecided"
     MIXED = "mixed"
     WORSE = "worse"
-    NOT_JUDGED = "not judged"
+    NOT_EVALUATED = "not evaluated"
     """The candidate, or the baseline, is dead or set wrong: its numbers say nothing of gain or loss."""
 
 
 class Belief(StrEnum):
     """Whether what was measured bears out what a candidate believes to have gained."""
 
-    BORNE_OUT = "borne out"
+    CONFIRMED = "confirmed"
     UNDECIDED = "undecided"
-    NOT_BORNE_OUT = "not borne out"
+    NOT_CONFIRMED = "not confirmed"
 
 
 class ImprovementStatus(StrEnum):

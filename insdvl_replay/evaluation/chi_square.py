@@ -13,7 +13,7 @@ from insdvl_replay.core.words import Consistency, Reason
 CONFIDENCE: Final = 0.95  # Share of consistent filters whose mean lies inside the interval.
 SMALL_EXCESS: Final = 0.1
 """A NIS or NEES that is off by a smaller share stands for a standard deviation that is off by less than 5 %."""
-FEWEST_UPDATES: Final = 10  # With fewer updates the verdict is ``too few``.
+FEWEST_UPDATES: Final = 10  # With fewer updates the verdict is ``insufficient data``.
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:
@@ -40,7 +40,7 @@ def consistency_verdict(mean: float, low: float, high: float, dof: int) -> tuple
         return Consistency.CONSISTENT, Reason.NONE
     if abs(mean / dof - 1.0) <= SMALL_EXCESS:
         return Consistency.CONSISTENT, Reason.NEAR
-    return Consistency.OVER_CONFIDENT if mean > high else Consistency.OVER_CAUTIOUS, Reason.NONE
+    return Consistency.OVERCONFIDENT if mean > high else Consistency.CONSERVATIVE, Reason.NONE
 
 
 def probability_beyond_3_sd(share: float, independent: float) -> float:

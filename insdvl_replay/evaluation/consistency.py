@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.core.quantities import AXES, WITHHELD, axis_of, is_reserved
+from insdvl_replay.core.quantities import AXES, HELD_OUT, axis_of, is_reserved
 from insdvl_replay.core.states import DEG, MORE_STATES, PHI, SENSORS
 from insdvl_replay.core.tables import ConsistencyRow, Tables, finite
 from insdvl_replay.core.words import Consistency, Reason, Severity, Whiteness
@@ -27,7 +27,7 @@ MANY_REJECTED: Final = 0.1  # A gate that rejects a larger share does not keep o
 CONTRADICTED: Final = 9.0
 """Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread."""
 SLOW: Final = 0.3  # Correlation of neighbouring headings from which their error is slow.
-FEWEST_PAIRS: Final = 10  # With fewer neighbours the word is ``too few``.
+FEWEST_PAIRS: Final = 10  # With fewer neighbours the word is ``insufficient data``.
 SMALL_AUTOCORRELATION: Final = 0.1
 """A smaller one, however significant, does not matter: the mean of noise that is so correlated scatters by less than
 11 % more, or 10 % less, than that of white noise."""
@@ -44,7 +44,7 @@ class _Mean(NamedTuple):
     nis: float = math.nan
     low: float = math.nan
     high: float = math.nan
-    verdict: Consistency = Consistency.NOT_TOLD
+    verdict: Consistency = Consistency.NOT_AVAILABLE
     why: Reason = Reason.NONE
 
 
@@ -62,15 +62,15 @@ def consistency_table(
     """
     rows = []
     for history, innovations in [(met_by, met) for met_by in histories for met in met_by.innovations]:
-        measurement, withheld = innovations.measurement, innovations.is_withheld
+        measurement, held_out = innovations.measurement, innovations.is_held_out
         # A filter lives on where a user's prediction gives no number: such readings are not used.
         goes_on = not is_reserved(measurement) and np.isfinite(history.velocity_n[-1]).all()
         met = np.isfinite(innovations.nis) | (not goes_on)
         standardised, used = innovations.standardised[met], innovations.used[met]
         weighted = innovations.nis[met] * innovations.weight[met]
         in_own_sd, told = np.empty(0), True
-        if withheld:
-            sensor = measurement.removeprefix(WITHHELD)
+        if held_out:
+            sensor = measurement.removeprefix(HELD_OUT)
             needed = {state.id for block in SENSORS[sensor].states for state in MORE_STATES[block]}
             told = needed <= {state.id for state in history.states}
             in_own_sd = innovations.innovation / sensor_sd[sensor] if told else in_own_sd
@@ -80,22 +80,22 @@ def consistency_table(
             parts.append((axis_of(measurement, axis), slice(i, i + 1), nis))
         for name, components, nis in parts:
             part = standardised[:, components]
-            dof, correlation = part.shape[1], autocorrelation(part, used | withheld)
+            dof, correlation = part.shape[1], autocorrelation(part, used | held_out)
             mean = _Mean()
-            if not withheld:
+            if not held_out:
                 mean = _judged(nis, dof)
-                if mean.verdict == Consistency.OVER_CAUTIOUS and measurement in SENSORS and repeats(*correlation):
-                    mean = mean._replace(verdict=Consistency.TOO_FEW, why=Reason.ONE_SAMPLE)
+                if mean.verdict == Consistency.CONSERVATIVE and measurement in SENSORS and repeats(*correlation):
+                    mean = mean._replace(verdict=Consistency.INSUFFICIENT, why=Reason.ONE_SAMPLE)
             elif told:
                 # No filter is told of it, so that what is off stays in the next innovation: fewer are independent. An
                 # error that stays is one sample, and where it happens to be small, or is none at an exact start,
-                # nothing shows that it stays. A filter is over-cautious only where differences are too small for the
+                # nothing shows that it stays. A filter is conservative only where differences are too small for the
                 # noise of the sensor alone.
                 mean, sensor_part = _judged(nis, dof, part), in_own_sd[:, components]
-                if mean.verdict == Consistency.OVER_CAUTIOUS:
+                if mean.verdict == Consistency.CONSERVATIVE:
                     by_sensor = _judged(np.sum(sensor_part**2, axis=1), dof, sensor_part)
-                    if by_sensor.verdict != Consistency.OVER_CAUTIOUS:
-                        mean = mean._replace(verdict=Consistency.TOO_FEW, why=Reason.ONE_SAMPLE)
+                    if by_sensor.verdict != Consistency.CONSERVATIVE:
+                        mean = mean._replace(verdict=Consistency.INSUFFICIENT, why=Reason.ONE_SAMPLE)
             counts = int(innovations.used.sum()), int(rejected(innovations).sum())
             judged = *counts, mean.nis, mean.low, mean.high, mean.verdict
             word = whiteness(*correlation)
@@ -109,13 +109,13 @@ def _judged(nis: Floats, dof: int, components: Floats | None = None) -> _Mean:
     Components in their own standard deviations that repeat themselves count as their independent samples.
     """
     if len(nis) < FEWEST_UPDATES:
-        return _Mean(verdict=Consistency.TOO_FEW)
+        return _Mean(verdict=Consistency.INSUFFICIENT)
     repeated = components is not None and np.isfinite(components).all()
     independent = samples_in_mean_square(components) if components is not None and repeated else float(len(nis))
     mean_nis, (low, high) = float(nis.mean()), mean_interval(dof, independent)
     word, why = consistency_verdict(mean_nis, low, high, dof)
-    if dof * independent < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.OVER_CAUTIOUS):
-        word, why = Consistency.TOO_FEW, Reason.NONE
+    if dof * independent < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.CONSERVATIVE):
+        word, why = Consistency.INSUFFICIENT, Reason.NONE
     return _Mean(mean_nis, low, high, word, why)
 
 
@@ -152,7 +152,7 @@ def repeats(value: float, limit: float) -> bool:
 def whiteness(value: float, limit: float) -> Whiteness:
     """Return what an autocorrelation means."""
     if not np.isfinite(limit):
-        return Whiteness.TOO_FEW
+        return Whiteness.INSUFFICIENT
     if not np.isfinite(value):
         return Whiteness.NOT_FINITE
     return Whiteness.CORRELATED if abs(value) > max(limit, SMALL_AUTOCORRELATION) else Whiteness.WHITE
@@ -191,7 +191,7 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
             if total == 0:
                 hint = f"filters.{name}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
                 warn("aiding_without_updates", f"filter {name} had no {kind} to use", 0, hint)
-            if total == 0 or innovations.is_withheld:
+            if total == 0 or innovations.is_held_out:
                 continue
             if lost.any():
                 count = int(lost.sum())
@@ -220,7 +220,7 @@ def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
                     "what is expected"
                 )
                 hint = f"units, axes, stamp and delay in [{kind}], or a larger sd there"
-                hint += "; evaluation.withheld judges without it"
+                hint += "; evaluation.held_out judges without it"
                 warn(f"{kind}_disagrees", text, total, hint)
             # Innovations of a heading whose error is slow are small, since the filter follows the error.
             if kind == "heading" and all(state.id != "heading_bias" for state in history.states):

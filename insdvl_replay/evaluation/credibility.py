@@ -222,10 +222,10 @@ def _row(named: tuple[str, str, str], errors: StateErrors, states: States, sampl
     near_pct, far_pct = (100.0 * float(np.mean(squared <= bound)) for bound in bounds)
     word, why = consistency_verdict(mean_nees, low, high, dof)
     beyond = 1.0 - far_pct / 100.0
-    if word != Consistency.OVER_CONFIDENT and dof * independent < FEWEST_UPDATES:
+    if word != Consistency.OVERCONFIDENT and dof * independent < FEWEST_UPDATES:
         # Few samples prove that errors are too large, but not that they are as they should be.
-        word, why = Consistency.TOO_FEW, Reason.NONE
-    elif word == Consistency.OVER_CAUTIOUS and errors.exact_start:
+        word, why = Consistency.INSUFFICIENT, Reason.NONE
+    elif word == Consistency.CONSERVATIVE and errors.exact_start:
         # A filter starts on the reference: the misalignment that it allows for is not there, nor is what hangs on it,
         # such as a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are
         # too small are compared with the share of the variance that would be left if the attitude were known.
@@ -237,8 +237,8 @@ def _row(named: tuple[str, str, str], errors: StateErrors, states: States, sampl
         left = FAR_SMALLER * (1.0 - shared) * dof
         word, why = (Consistency.CONSISTENT, Reason.EXACT_START) if mean_nees >= left else (word, why)
     many_far_off = beyond >= MANY_FAR_OFF and probability_beyond_3_sd(beyond, independent) < 1.0 - CONFIDENCE
-    if word != Consistency.OVER_CONFIDENT and many_far_off:
+    if word != Consistency.OVERCONFIDENT and many_far_off:
         # More errors exceed 3 standard deviations than chance allows, and by enough to matter.
-        word, why = Consistency.OVER_CONFIDENT, Reason.BEYOND_3_SD
+        word, why = Consistency.OVERCONFIDENT, Reason.BEYOND_3_SD
     numbers = mean_nees, low, high, near_pct, far_pct
     return CredibilityRow(*named, dof, samples, *numbers, word, independent, why)

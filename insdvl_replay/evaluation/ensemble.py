@@ -139,7 +139,7 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         mean, inside = float(at_pings.mean()), (at_pings >= low) & (at_pings <= high)
         word, why = consistency_verdict(mean, low, high, DOF)
         if ensemble.runs < FEWEST_UPDATES:
-            word, why = Consistency.TOO_FEW, Reason.NONE
+            word, why = Consistency.INSUFFICIENT, Reason.NONE
         judged = 100.0 * float(np.mean(inside)), float(at_pings[-1]), word, why
         rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, *judged))
     names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict", "why"]

@@ -292,7 +292,7 @@ class PositionCurve(NamedTuple):
 class Curves:
     """All that is drawn of the evidence on one dive."""
 
-    coasting: Mapping[str, OutageCurve]  # by filter; empty where the dive is too short
+    outage: Mapping[str, OutageCurve]  # by filter; empty where the dive is too short
     convergence: Mapping[str, ConvergenceCurves]  # by quantity; empty without a reference or drawn starts
     position: Mapping[str, PositionCurve]  # by filter; empty without positions of a reference
 

@@ -1,10 +1,11 @@
 """The evidence on each candidate next to the baseline: what was measured, its interval, and a word (`series.word_of`).
 
 Both filters ran on the same dive, so that everything is paired. *Accuracy* is against the reference, from the same
-drawn starts; *coasting* while the DVL is withheld; *withheld* by other sensors that no filter was told of;
+drawn starts; *outage* while the DVL is withheld; *held_out* by other sensors that no filter is given;
 *convergence* from starts that err as much as the filters allow for; the *track* is the error of the whole dive;
-*honesty* is whether innovations and errors are as large as a filter says, which says nothing of gain or loss. Positions
-are judged by how far they drift: their error as such is one number that a heading wrong at the start decides.
+*consistency* is whether innovations and errors are as large as a filter says, which says nothing of gain or loss.
+Positions are judged by how far they drift: their error as such is one number that a heading wrong at the start
+decides.
 """
 
 import math
@@ -20,11 +21,11 @@ from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
+    CONSISTENT,
     CONVERGED,
-    HONESTY,
+    HELD_OUT,
     TRACK,
     VERDICTS_BEST_FIRST,
-    WITHHELD,
     is_used,
 )
 from insdvl_replay.core.states import DEG, PHI
@@ -167,15 +168,15 @@ def accuracy_beside(
 
 
 def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, SquaredErrors]:
-    """Square what a filter and the held-out sensors differ by, by quantity of `quantities.WITHHELD_QUANTITIES`.
+    """Square what a filter and the held-out sensors differ by, by quantity of `quantities.HELD_OUT_QUANTITIES`.
 
     Positions and depths are judged by their drift over a minute, between corrections; a heading by itself. The sensor's
     noise is in both filters and makes them look equal: readings of a few seconds, in which no filter drifts, are
     averaged. The noise is that of one reading, by the sensor's name, SI; the first component stands for all.
     """
     found = {}
-    for innovations in (met for met in history.innovations if met.is_withheld):
-        sensor = innovations.measurement.removeprefix(WITHHELD)
+    for innovations in (met for met in history.innovations if met.is_held_out):
+        sensor = innovations.measurement.removeprefix(HELD_OUT)
         if sensor == "heading":
             squared, sd_deg = (innovations.innovation.T / DEG) ** 2, float(noise_sd[sensor][0]) / DEG
             found[innovations.measurement] = SquaredErrors("deg", squared, 1, sd_deg)
@@ -206,8 +207,8 @@ def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Flo
 def held_out_track(history: History) -> dict[str, float]:
     """Return by how much a filter's track differs from held-out fixes and depths: the rms and the last, m."""
     found: dict[str, float] = {}
-    for innovations in (met for met in history.innovations if met.is_withheld and len(met.time_ns)):
-        sensor = innovations.measurement.removeprefix(WITHHELD)
+    for innovations in (met for met in history.innovations if met.is_held_out and len(met.time_ns)):
+        sensor = innovations.measurement.removeprefix(HELD_OUT)
         if along := ALONG.get(sensor):
             _, _, apart_m = _averaged(innovations, innovations.innovation[:, : len(along)])
             off_m = np.linalg.norm(apart_m, axis=1)
@@ -248,9 +249,9 @@ def evidence_table(
             if after is not None and len(before):
                 interval = windows_ratio(before, after)
                 numbers = _rms(before**2), _rms(after**2), *_ends(interval)
-                word, why, about = word_of(interval), _why(interval), (*named, "coasting", f"coasting_{window}", "m")
+                word, why, about = word_of(interval), _why(interval), (*named, "outage", f"outage_{window}", "m")
                 rows.append(EvidenceRow(*about, *numbers, 1, len(before), word, interval.p, why))
-        rows += _rows_of_squares((*named, "withheld"), measured.held_out.get(candidate, ({}, {})))
+        rows += _rows_of_squares((*named, "held_out"), measured.held_out.get(candidate, ({}, {})))
         for quantity, name in CONVERGED.items():
             found = measured.convergence.get(candidate, {}).get(name)
             if found is not None:
@@ -347,7 +348,7 @@ def _consistency_rows(
     """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
 
     The worst measurement, and group of states, represents a filter; next to a partial solution, of the groups that it
-    tells. Of the candidate's further sensors those count in which it is over-confident.
+    tells. Of the candidate's further sensors those count in which it is overconfident.
     """
     shared = {row.measurement for row in consistency if row.filter == baseline}
     told = {row.quantity for row in credibility if row.filter == named[1]}
@@ -356,7 +357,7 @@ def _consistency_rows(
         "nis": [
             (row.filter, row.mean_nis, row.dof, row.verdict)
             for row in consistency
-            if is_used(row.measurement) and (row.measurement in shared or row.verdict == Consistency.OVER_CONFIDENT)
+            if is_used(row.measurement) and (row.measurement in shared or row.verdict == Consistency.OVERCONFIDENT)
         ],
         "nees": [(row.filter, row.mean_nees, row.dof, row.verdict) for row in credibility if row.quantity in groups],
     }
@@ -377,15 +378,15 @@ def _consistency_rows(
         if not (math.isfinite(before) and math.isfinite(after)):
             continue
         off, new_off = (abs(math.log(size)) if size > 0.0 else math.inf for size in (before, after))
-        # A candidate is not more consistent for being over-confident instead.
+        # A candidate is not more consistent for being overconfident instead.
         ratio, word, becomes_worse = math.exp(new_off - off), EvidenceWord.EQUIVALENT, new_rank > rank
-        if Consistency.TOO_FEW in (was, now):
+        if Consistency.INSUFFICIENT in (was, now):
             word = EvidenceWord.UNDECIDED
-        elif was == now == Consistency.OVER_CAUTIOUS:
+        elif was == now == Consistency.CONSERVATIVE:
             word = EvidenceWord.EQUIVALENT  # both promise less than they keep
         elif ratio < 1.0 / NOTABLY and was != Consistency.CONSISTENT and not becomes_worse:
             word = EvidenceWord.BETTER
         elif now != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
             word = EvidenceWord.WORSE
         numbers = before, after, ratio, math.nan, math.nan, math.nan
-        yield EvidenceRow(*named, HONESTY, quantity, "", *numbers, 1, 0, word)
+        yield EvidenceRow(*named, CONSISTENT, quantity, "", *numbers, 1, 0, word)

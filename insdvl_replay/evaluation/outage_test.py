@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, seconds
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import COASTING_WINDOWS_S
-from insdvl_replay.core.tables import CoastingRow, finite
+from insdvl_replay.core.quantities import OUTAGE_WINDOWS_S
+from insdvl_replay.core.tables import OutageRow, finite
 from insdvl_replay.evaluation.chi_square import chi_square_quantile
 from insdvl_replay.evaluation.errors import SHORTEST_M
 from insdvl_replay.evaluation.series import windows_ratio
@@ -101,7 +101,7 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
         whole = ~silent & ~in_gap(ping_ns[first], ping_ns[last]) if len(first) else silent
         return Windows(window_s, first[whole], last[whole], int(np.sum(~whole)))
 
-    lengths = [windows(length, length) for length in map(int, COASTING_WINDOWS_S)]
+    lengths = [windows(length, length) for length in map(int, OUTAGE_WINDOWS_S)]
     judged = tuple(found for found in lengths if len(found.first) + found.left_out)
     return OutagePlan(ping_ns, judged, windows(SHOWN_S, SHOWN_EVERY_S))
 
@@ -209,7 +209,7 @@ def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
 # --- The table, and what it says of the noise.
 
 
-def outage_test_table(log: str, outages: OutageRuns) -> list[CoastingRow]:
+def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
     """Say how far each filter drifts in windows of each length that the dive has room for."""
 
     def quantile(values: Floats, q: float) -> float:
@@ -229,7 +229,7 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[CoastingRow]:
                     won_pct = 50.0 * float(np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m))
                     against = interval.ratio, interval.low, interval.high, won_pct
                 rms_m = float(np.sqrt(np.mean(drift_m**2))) if count else NAN
-                row = CoastingRow(
+                row = OutageRow(
                     *(log, name, str(windows.window_s), count, windows.left_out),
                     *(quantile(drift_m, 0.5), rms_m, quantile(drift_m, 0.95)),
                     quantile(100.0 * drift_m[moved] / distance_m[moved], 0.5),
@@ -241,7 +241,7 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[CoastingRow]:
     return rows
 
 
-def outage_alarm(rows: Sequence[CoastingRow], names: Collection[str]) -> str:
+def outage_alarm(rows: Sequence[OutageRow], names: Collection[str]) -> str:
     """Say where the withheld velocities show that the sigma of filters grows too slowly; nothing where it does not.
 
     NIS at the ends of windows of one length are chi-square, and nearly independent. The length that is furthest above

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.quantities import DECIDING_TOGETHER, EVIDENCE_QUANTITIES, HONESTY
+from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, EVIDENCE_QUANTITIES
 from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
 from insdvl_replay.core.words import EvidenceWord, Judgement
 from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, what_settles, word_of
@@ -29,7 +29,7 @@ def pooled_evidence(
 ) -> list[PooledRow]:
     """Pool what each dive holds on one candidate; the piece that decides first is in front."""
     gathered: dict[str, list[EvidenceRow]] = {}
-    for row in (row for rows in dives for row in rows if row.evidence != HONESTY):
+    for row in (row for rows in dives for row in rows if row.evidence != CONSISTENT):
         gathered.setdefault(row.quantity, []).append(row)
     pooled = []
     for rows in (gathered[quantity] for quantity in EVIDENCE_QUANTITIES if quantity in gathered):
@@ -80,15 +80,15 @@ def pooled_candidate(
 
 def pooled_judgement(rows: Sequence[PooledRow], dives: int, judged: int) -> Judgement:
     """Return what the evidence of several dives says together; nothing where half of them are not evaluated."""
-    return Judgement.NOT_JUDGED if 2 * judged <= dives else judgement_of(rows, DECIDING_TOGETHER)
+    return Judgement.NOT_EVALUATED if 2 * judged <= dives else judgement_of(rows, DECIDING_TOGETHER)
 
 
 def pooled_sentence(pooled: PooledCandidate) -> str:
     """Say in one sentence what several dives say of a candidate."""
     judgement, dives = pooled.judgement, f"{pooled.judged} of {pooled.dives} dives"
-    if judgement == Judgement.NOT_JUDGED:
+    if judgement == Judgement.NOT_EVALUATED:
         found = f"it is judged in {dives}; settle the others first"
-        return f"{pooled.name} is NOT JUDGED against {pooled.baseline}: {found}."
+        return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."
     spoken, pieces = spoken_of(judgement, pooled.rows, DECIDING_TOGETHER), []
     for row in spoken:
         interval = interval_in_words(row.ratio, row.low, row.high)

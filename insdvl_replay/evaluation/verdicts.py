@@ -16,8 +16,8 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
+    CONSISTENT,
     DECIDING,
-    HONESTY,
     IS_REFERENCE,
     VERDICTS_BEST_FIRST,
     is_beam,
@@ -44,10 +44,10 @@ from insdvl_replay.evaluation.predicted import mean_over_nine, nearest_over_nine
 from insdvl_replay.evaluation.series import RatioInterval, what_settles
 
 NOTABLE_PCT: Final = 5.0  # A smaller gain is not spoken of as a predicted one.
-BORNE_OUT: Final = 0.5  # Share of the predicted improvement that has to be measured.
+CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be measured.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 """Quantities whose median change stands for the error against the reference."""
-WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.TOO_FEW)
+WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
 FEWEST_STARTS: Final = 8
 """From fewer drawn starts nothing is said of what is predicted: it is mostly that errors of the start wear off."""
 MANY_TIMES: Final = 3.0  # From here on, nobody reads percent.
@@ -65,8 +65,8 @@ CONTRADICTIONS: Final = (
 """Notes on columns that cannot all be right."""
 SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
 ON_PREDICTION: Final = {
-    Belief.BORNE_OUT: ", and that is borne out",
-    Belief.NOT_BORNE_OUT: ", and that is NOT borne out",
+    Belief.CONFIRMED: ", and that is confirmed",
+    Belief.NOT_CONFIRMED: ", and that is NOT confirmed",
     Belief.UNDECIDED: ", and whether that is so is undecided",
 }
 AGAINST: Final = {
@@ -103,9 +103,9 @@ def belief_of(predicted_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
     least_pct, most_pct = (
         100.0 * (1.0 - float(np.median([finite(getattr(row, end)) for row in measured]))) for end in ("high", "low")
     )
-    if least_pct >= BORNE_OUT * predicted_pct:
-        return Belief.BORNE_OUT
-    return Belief.NOT_BORNE_OUT if most_pct < BORNE_OUT * predicted_pct else Belief.UNDECIDED
+    if least_pct >= CONFIRMED * predicted_pct:
+        return Belief.CONFIRMED
+    return Belief.NOT_CONFIRMED if most_pct < CONFIRMED * predicted_pct else Belief.UNDECIDED
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
@@ -114,7 +114,10 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
     Axes do not count: of eight tests one fails by chance in every third consistent filter.
     """
     words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
-    return next((word for word in WORST_FIRST if word in words), Consistency.TOO_FEW if words else Consistency.NOT_TOLD)
+    return next(
+        (word for word in WORST_FIRST if word in words),
+        Consistency.INSUFFICIENT if words else Consistency.NOT_AVAILABLE,
+    )
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
@@ -125,7 +128,7 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     """
     words = [row.verdict for row in _groups(table, filter_name)]
     if table and not any(row.filter == filter_name for row in table):
-        return Consistency.NOT_TOLD
+        return Consistency.NOT_AVAILABLE
     return next((word for word in WORST_FIRST if word in words), next(iter(words), Consistency.NO_REFERENCE))
 
 
@@ -266,8 +269,8 @@ def verdicts(
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
         wrong = unsound.get(candidate, "")
-        judgement, belief = Judgement.NOT_JUDGED, Belief.UNDECIDED
-        measured = f"{candidate} is NOT JUDGED against {baseline}: {wrong}; settle that first"
+        judgement, belief = Judgement.NOT_EVALUATED, Belief.UNDECIDED
+        measured = f"{candidate} is NOT EVALUATED against {baseline}: {wrong}; settle that first"
         if not wrong:
             judgement, belief = judgement_of(evidence), belief_of(predicted_pct, evidence)
             measured = _measured(candidate, baseline, judgement, evidence)
@@ -331,7 +334,10 @@ def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Seq
         ends, samples = (finite(row.ratio), finite(row.low), finite(row.high)), finite(row.effective_samples)
         needed = what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), 1)
         left = left or (f"; {needed}" if needed else "")
-    words = {row.word for row in evidence if row.evidence == HONESTY} & {EvidenceWord.BETTER, EvidenceWord.WORSE}
+    words = {row.word for row in evidence if row.evidence == CONSISTENT} & {
+        EvidenceWord.BETTER,
+        EvidenceWord.WORSE,
+    }
     if len(words) == 1:
         is_more = EvidenceWord.BETTER in words
         joined = "but" if is_more == (judgement == Judgement.WORSE) else "and"
@@ -386,14 +392,16 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
 
     A candidate that is aided by a sensor beside the DVL has the NIS of each of its sensors in the sentence.
     """
-    alarm = outage_alarm(tables.coasting, (baseline, candidate))
+    alarm = outage_alarm(tables.outage, (baseline, candidate))
     trust, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
-    if trust == Consistency.NOT_TOLD:
+    if trust == Consistency.NOT_AVAILABLE:
         return f"{candidate} does not say how sure it is, {baseline} is {baseline_trust}.{alarm}"
     if trust != baseline_trust:
         sentence = f"{candidate} is {trust}, {baseline} {baseline_trust}."
     else:
-        sentence = "Too few updates to judge either." if trust == Consistency.TOO_FEW else f"Both filters are {trust}."
+        sentence = (
+            "Too few updates to judge either." if trust == Consistency.INSUFFICIENT else f"Both filters are {trust}."
+        )
     used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
     if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
         sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
@@ -404,13 +412,13 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
 def _trust(tables: Tables, name: str) -> str:
     """Join what innovations and errors say; the one word where they agree or only one of them speaks."""
     consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
-    if credibility == Consistency.TOO_FEW or credibility not in WORST_FIRST:
+    if credibility == Consistency.INSUFFICIENT or credibility not in WORST_FIRST:
         return consistency
     # Name the groups of states that have the worst verdict, where others have a better one.
     groups = [row for row in _groups(tables.credibility, name) if row.verdict in VERDICTS_BEST_FIRST]
     worst = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
     where = f" in {' and '.join(worst)}" if len(worst) < len(groups) else ""
-    if consistency in (Consistency.NOT_TOLD, Consistency.TOO_FEW):
+    if consistency in (Consistency.NOT_AVAILABLE, Consistency.INSUFFICIENT):
         return f"{credibility}{where} against the reference"
     if consistency == credibility:
         return f"{consistency} by the innovations, and{where} against the reference" if where else consistency

@@ -88,7 +88,7 @@ def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool
     if idle := idle_sensors(str(log.path), log.channels, findings, config):
         sensors = "; ".join(f"{name} by {' or '.join(topics)}" for name, topics in idle.items())
         aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
-        hint = f"--set 'filters.told.aiding=[{aiding}]'; evaluation.withheld judges by them"
+        hint = f"--set 'filters.told.aiding=[{aiding}]'; evaluation.held_out judges by them"
         notes.append(Note(_IDLE, f"could aid a filter: {sensors}", len(idle), hint=hint))
     # Last of all, since damage inside the chunks is found as they are opened.
     damage = None if allow_damaged else log.damage_error()

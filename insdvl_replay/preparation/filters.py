@@ -12,7 +12,7 @@ from msgspec.structs import replace as changed
 from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.quantities import WITHHELD
+from insdvl_replay.core.quantities import HELD_OUT
 from insdvl_replay.core.states import DEG, FASTEST_MPS, MORE_STATES, SENSORS, states_for
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import DvlMounting, north_east_m
@@ -74,7 +74,7 @@ class ResolvedFilter:
     gate_reopen_after: int  # rejected velocities in a row after which the INS is set to the DVL; 0: never
     acceleration: Acceleration
     states: tuple[str, ...]  # names in `states.MORE_STATES`, beside the twelve
-    withheld: tuple[str, ...]  # sensors that are held out: they judge the filter and do not aid it
+    held_out: tuple[str, ...]  # sensors that are held out: they judge the filter and do not aid it
     measurement_noise: int  # how R of velocity and beams is taken, see `nav.kalman`
     more_sd: Floats  # (n - 12,) sd of the states beside the twelve at the start, SI units
     more_density: Floats  # (n - 12,) density of their process noise
@@ -121,7 +121,7 @@ class ResolvedFilter:
         arm_b, gate, reopen_after = mounting.lever_arm_b, self.gate(3), self.gate_reopen_after
         cov_b = self._velocity_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, arm_b)
         found = list[Measurement]()
-        for word in (word for word in self.aiding if word not in self.withheld):
+        for word in (word for word in self.aiding if word not in self.held_out):
             if word == "velocity":
                 velocity = velocity_measurement(velocities, cov_b, gate, reopen_after)
                 found.append(replace(velocity, noise=self.measurement_noise))
@@ -157,7 +157,7 @@ class ResolvedFilter:
                 found.append(replace(acceleration, available=seen))
             else:
                 found.append(replace(sensors[word], gate=self.gate(sensors[word].size)))
-        held_out = (replace(sensors[word], name=f"{WITHHELD}{sensors[word].name}") for word in self.withheld)
+        held_out = (replace(sensors[word], name=f"{HELD_OUT}{sensors[word].name}") for word in self.held_out)
         return (*found, *map(hold_out, held_out))
 
     def _velocity_cov(self, velocities: DvlVelocities) -> Floats:
@@ -167,7 +167,7 @@ class ResolvedFilter:
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
     """Resolve what a filter takes from the sections that all filters share; of two noises the beams' comes first."""
-    held_out, rate_hz = config.evaluation.withheld, 1.0 / config.heading.bias_time_s
+    held_out, rate_hz = config.evaluation.held_out, 1.0 / config.heading.bias_time_s
     needed = {*filter_.states, *states_for(word for word in filter_.aiding if word not in held_out)}
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = np.array([sd for block in states for sd in MORE_SD[block](config)], dtype=np.float64)
@@ -302,12 +302,12 @@ def silence_notes(
     return [Note(f"{name}_silent", text, severity=severity)]
 
 
-def withheld_notes(config: Config) -> tuple[Note, ...]:
+def held_out_notes(config: Config) -> tuple[Note, ...]:
     """Name the filters that a held-out sensor would aid."""
     notes = list[Note]()
-    for sensor in config.evaluation.withheld:
+    for sensor in config.evaluation.held_out:
         if names := [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]:
             text = f"the {sensor} is withheld, and does not aid {', '.join(names)}"
-            hint = f'take "{sensor}" out of evaluation.withheld'
-            notes.append(Note(f"{sensor}_withheld", text, severity=Severity.WARNING, hint=hint))
+            hint = f'take "{sensor}" out of evaluation.held_out'
+            notes.append(Note(f"{sensor}_held_out", text, severity=Severity.WARNING, hint=hint))
     return tuple(notes)

@@ -128,11 +128,11 @@ def _asked(
     word: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
 ) -> tuple[UserMeasurement, UserReadings]:
     """Ask an object that is made for this call, so that it has kept nothing of another one."""
-    given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.withheld
+    given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.held_out
     topics = f"dive.topics has {listed(sorted(given.topics))}" if given.topics else "dive.topics is empty"
     hint = f"{topics}; a section [topics.NAME] adds one"
     if held_out:
-        hint += f"; the {listed(held_out)} is held out (evaluation.withheld), with all that may be made of it"
+        hint += f"; the {listed(held_out)} is held out (evaluation.held_out), with all that may be made of it"
     try:
         own = load_user_measurement(word)
         readings = _called(word, own, "readings(self, dive)", lambda: own.readings(given), hint)
@@ -253,7 +253,7 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
 
     The reference and solutions may be made of either, and are absent with it. So are topics that carry it.
     """
-    held_out = config.evaluation.withheld
+    held_out = config.evaluation.held_out
     if not (held_out or outages):
         return dive
     roles = {channel.topic: channel.role for channel in dive.channels}

@@ -26,9 +26,9 @@ from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import (
     ResolvedFilter,
     dvl_mounting,
+    held_out_notes,
     prepare_sensors,
     resolve_filters,
-    withheld_notes,
 )
 from insdvl_replay.preparation.gaps import apply_gap_policy, find_gaps
 from insdvl_replay.preparation.plugins import prepare_own_measurements
@@ -171,7 +171,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         *alignment.notes,
         *([Note("dvl_outside_span", text, outside)] if outside else []),
         *sensor_notes,
-        *withheld_notes(config),
+        *held_out_notes(config),
         *contradiction_notes(in_span, dive.reference, config.depth),
         *depth_at_start_notes(in_span, dive.reference, alignment.row, config),
         *own_notes,

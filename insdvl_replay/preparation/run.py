@@ -231,7 +231,7 @@ def run_outages(
 
     User code is given the dive without the pings of each window.
     """
-    report_stage("coasting without velocities")
+    report_stage("DVL outage test")
     groups = list[tuple[Sequence[Outage], dict[str, Measurement], Timeline]]()
     for windows, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns)):
         outage_dive = None if sensors is prepared.sensors else replace(prepared, sensors=sensors)
@@ -241,7 +241,7 @@ def run_outages(
 
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
         found = dict[tuple[int, int], OutageRun]()
-        (velocity,) = replace(filter_, aiding=("velocity",), withheld=()).measurements(*measured)
+        (velocity,) = replace(filter_, aiding=("velocity",), held_out=()).measurements(*measured)
         for windows, sensors, line in groups:
             aiding = filter_.measurements(*measured, sensors, prepared.beams)
             run_on = partial(

@@ -11,7 +11,7 @@ from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, visible
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import WITHHELD, is_whole
+from insdvl_replay.core.quantities import HELD_OUT, is_whole
 from insdvl_replay.core.result import Report, as_json, build_report, this_tool
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, DVL_AIDING, MG, STATES
@@ -97,8 +97,8 @@ def _log_lines(report: Report) -> Iterator[str]:
         yield f"channel {channel.topic} ({channel.type_name}, {channel.encoding}): {channel.messages} messages, {role}"
     yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
     for row in report.tables.consistency:
-        if row.measurement.startswith(WITHHELD):
-            sensor = row.measurement.removeprefix(WITHHELD)
+        if row.measurement.startswith(HELD_OUT):
+            sensor = row.measurement.removeprefix(HELD_OUT)
             yield f"filter {row.filter}: {row.rejected} readings of {sensor} withheld, and compared alone"
         elif is_whole(row.measurement):
             yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"

@@ -149,12 +149,12 @@ _CONVERGED: Final = {
     "heading": ("heading [deg]", DEG),
     "velocity": ("velocity [m/s]", 1.0),
 }
-KINDS: Final = ("error", "track", "sigma", "nis", "coasting", "convergence")
+KINDS: Final = ("error", "track", "sigma", "nis", "outage", "convergence")
 """What can be drawn."""
 
 
-def paper_figure(kind: str, trajectory: Trajectory, coasting: Sequence[Row], states: tuple[str, ...]) -> Figure:
-    """Return a figure of a kind: of a trajectory, of the rows of the table ``coasting``, of the sigma of ``states``."""
+def paper_figure(kind: str, trajectory: Trajectory, outage: Sequence[Row], states: tuple[str, ...]) -> Figure:
+    """Return a figure of a kind: of a trajectory, of the rows of the table ``outage``, of the sigma of ``states``."""
     names, panels = trajectory.names, []
 
     def panel(title: str, x_label: str, curves: Sequence[Sequence[Curve]], **axes: Any) -> None:
@@ -180,10 +180,10 @@ def paper_figure(kind: str, trajectory: Trajectory, coasting: Sequence[Row], sta
             tracks = [(trajectory.of(name, "position_e_m"), trajectory.of(name, "position_n_m")) for name in names]
             curves = [[Curve(*track, filter_style(number))] for number, track in enumerate(tracks)]
             panel("north [m]", "east [m]", curves, equal=True)
-        case "coasting" if coasting:
+        case "outage" if outage:
             curves = []
             for number, name in enumerate(names):
-                rows = [row for row in coasting if row.get("filter") == name]
+                rows = [row for row in outage if row.get("filter") == name]
                 at_s = np.array([float(str(row["window_s"])) for row in rows])
                 median_m, p95_m = (
                     np.array([_number(row.get(column)) for row in rows]) for column in ("drift_median_m", "drift_p95_m")

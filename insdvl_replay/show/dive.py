@@ -14,10 +14,10 @@ from msgspec.structs import astuple, replace
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import require_known, visible
 from insdvl_replay.core.quantities import (
+    CONSISTENT,
     DECIDING,
     DECIDING_TOGETHER,
-    HONESTY,
-    WITHHELD_QUANTITIES,
+    HELD_OUT_QUANTITIES,
     is_beam,
     is_whole,
     label,
@@ -44,7 +44,6 @@ from insdvl_replay.core.result import (
 from insdvl_replay.core.tables import (
     TABLES,
     Candidate,
-    CoastingRow,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
@@ -53,6 +52,7 @@ from insdvl_replay.core.tables import (
     ImprovementRow,
     JumpRow,
     Number,
+    OutageRow,
     ReferenceErrorRow,
     TrackFitRow,
     finite,
@@ -93,10 +93,10 @@ TONES: Final[dict[str, str]] = {
     Judgement.BETTER: "good",
     Judgement.MIXED: "bad",
     Judgement.WORSE: "bad",
-    Judgement.NOT_JUDGED: "bad",
+    Judgement.NOT_EVALUATED: "bad",
 }
 """The colours of the words on a candidate."""
-LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_JUDGED)
+LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_EVALUATED)
 """Words that are written in capitals."""
 
 
@@ -144,7 +144,7 @@ def word_in_table(row: EvidenceRow) -> str:
 def headline_table(report: Report, title: str = "", footnote: str = "") -> Iterator[DisplayTable]:
     """Lay out what INS/DVL systems are specified by, a line for each filter: this run's own errors, where known."""
     position = {row.filter: row for row in report.tables.drift if row.quantity == "position_h"}
-    outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.coasting if row.windows}
+    outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.outage if row.windows}
     tested = {window_s for window_s, _ in outages}
     windows_s = [window_s for window_s in ("60", "120") if window_s in tested] or sorted(tested)[:1]
     header = ["this run", *(("of distance", "CEP50", "CEP95", "end") if position else ())]
@@ -199,9 +199,9 @@ def glance_table(report: Report) -> DisplayTable:
 def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
     """Write what a candidate gains: the judgement, measured and predicted improvement, and whether it is confirmed."""
     candidate = report.filters[name]
-    if candidate.improvement == Judgement.NOT_JUDGED:
-        return Judgement.NOT_JUDGED, MISSING, MISSING, MISSING
-    first = next((row for row in report.tables.evidence if row.filter == name and row.evidence != HONESTY), None)
+    if candidate.improvement == Judgement.NOT_EVALUATED:
+        return Judgement.NOT_EVALUATED, MISSING, MISSING, MISSING
+    first = next((row for row in report.tables.evidence if row.filter == name and row.evidence != CONSISTENT), None)
     measured = MISSING if first is None or first.ratio is None else percent(100.0 * (1.0 - first.ratio))
     return candidate.improvement, measured, percent(candidate.mean_improvement_pct), candidate.belief or MISSING
 
@@ -217,8 +217,8 @@ def evidence_tables(report: Report) -> Iterator[DisplayTable]:
             is_read = bool(report.config.get("filters", {}).get(name, {}).get("solution"))
             footnote = _how_measured(max(row.starts for row in rows), is_read=is_read)
             yield shown(EvidenceRow, with_votes, footnote=footnote, filter=name, baseline=report.baseline)
-    if report.tables.coasting:
-        yield shown(CoastingRow, report.tables.coasting)
+    if report.tables.outage:
+        yield shown(OutageRow, report.tables.outage)
 
 
 def _how_measured(starts: int, *, is_read: bool) -> str:
@@ -399,9 +399,9 @@ def heading(report: Report) -> str:
     """State in one line what was replayed, and what has become of each predicted improvement."""
     texts = [_replayed(report)]
     for name, candidate in report.filters.items():
-        loud = candidate.improvement in (Judgement.WORSE, Judgement.NOT_JUDGED)
+        loud = candidate.improvement in (Judgement.WORSE, Judgement.NOT_EVALUATED)
         word = candidate.improvement.upper() if loud else candidate.improvement
-        if candidate.improvement != Judgement.NOT_JUDGED:
+        if candidate.improvement != Judgement.NOT_EVALUATED:
             belief = f", {candidate.belief}" if candidate.belief != Belief.UNDECIDED else ""
             word = f"{word}; {percent(candidate.mean_improvement_pct)} believed{belief}"
         texts.append(f"{name}: {word}")
@@ -415,7 +415,7 @@ def _replayed(report: Report) -> str:
 
 def closing_lines(report: Report) -> tuple[str, ...]:
     """State for each candidate what its mean improvement is, and whose opinion that is."""
-    trust = "reference error and consistency" if has_reference(report) else "coasting and consistency"
+    trust = "reference error and consistency" if has_reference(report) else "outage and consistency"
     return tuple(
         f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
         f"own covariance; see {trust}), "
@@ -423,7 +423,7 @@ def closing_lines(report: Report) -> tuple[str, ...]:
         f"({percent(means.mean_convergence_unchanged_pct)} without any change; by the nearest approach "
         f"{percent(means.mean_nearest_approach_improvement_pct)})"
         for name, means in report.filters.items()
-        if means.improvement != Judgement.NOT_JUDGED
+        if means.improvement != Judgement.NOT_EVALUATED
     )
 
 
@@ -519,12 +519,12 @@ def _bars(report: Report) -> Iterator[str]:
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
     """Yield label, predicted and measured improvement in percent, of what has both: first the mean."""
-    if report.filters[name].improvement == Judgement.NOT_JUDGED:
+    if report.filters[name].improvement == Judgement.NOT_EVALUATED:
         return
     measured = {
         row.quantity: 100.0 * (1.0 - row.ratio)
         for row in report.tables.evidence
-        if row.filter == name and row.evidence in ("accuracy", "coasting") and row.ratio is not None
+        if row.filter == name and row.evidence in ("accuracy", "outage") and row.ratio is not None
     }
     believed_pct = report.filters[name].mean_improvement_pct
     for quantity, measured_pct in list(measured.items())[:1] if believed_pct is not None else ():
@@ -584,12 +584,12 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
     candidate, baseline = report.filters[name], report.baseline
     judgement = candidate.improvement
     word = Callout(f"{name} against {baseline}: {shouted(judgement)}", TONES.get(judgement, ""))
-    if judgement == Judgement.NOT_JUDGED:
+    if judgement == Judgement.NOT_EVALUATED:
         yield Sentences((word, candidate.verdict))
         return
     yield Sentences((word, _believed(candidate)))
     evidence = _of(name, report.tables.evidence)
-    if rows := _chosen([row for row in evidence if row.evidence != HONESTY], MOST_ROWS[len(report.filters)]):
+    if rows := _chosen([row for row in evidence if row.evidence != CONSISTENT], MOST_ROWS[len(report.filters)]):
         columns = (
             ("evidence", "l", "quantity:label"),
             ("", "l", "unit"),
@@ -612,7 +612,7 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
 
 def _believed(candidate: Candidate) -> str:
     """State what a candidate predicts to gain, and what has become of that."""
-    if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_TOLD:
+    if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
         return "it was read, not run: what it believes is told of some states, or of none"
 
     def gained(change: float | None, gain: str, loss: str) -> str:
@@ -634,7 +634,7 @@ def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
     def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
         return (
             not (row.quantity in DECIDING and row.word in decided),
-            row.quantity not in (first[row.evidence], *WITHHELD_QUANTITIES),
+            row.quantity not in (first[row.evidence], *HELD_OUT_QUANTITIES),
             row.quantity not in _CHOSEN,
             row.quantity not in DECIDING_TOGETHER,
         )
@@ -648,7 +648,7 @@ def _many(report: Report) -> list[Part]:
     rows = []
     for name, candidate in report.filters.items():
         judgement, cells, believed = Judgement(candidate.improvement), (MISSING,) * 3, (MISSING, "")
-        if judgement != Judgement.NOT_JUDGED:
+        if judgement != Judgement.NOT_EVALUATED:
             believed = (percent(candidate.mean_improvement_pct), candidate.belief)
             for row in list(spoken_of(judgement, _of(name, report.tables.evidence)))[:1]:
                 cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high))

@@ -9,7 +9,7 @@ from urllib.parse import quote
 from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import natural_key
-from insdvl_replay.core.quantities import DECIDING_TOGETHER, HONESTY, is_whole, label
+from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, is_whole, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
@@ -52,7 +52,7 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
     reports, found = _reports(outcomes), []
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         having = [report for report in reports if name in report.filters]
-        judged = [report for report in having if report.filters[name].improvement != Judgement.NOT_JUDGED]
+        judged = [report for report in having if report.filters[name].improvement != Judgement.NOT_EVALUATED]
         rows = [[row for row in report.tables.evidence if row.filter == name] for report in judged]
         baselines = " or ".join(sorted({report.baseline for report in having}))
         if len(having) > 1:
@@ -91,7 +91,7 @@ def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
         # The piece of evidence that decided, or could have.
         spoken = spoken_of(found.judgement, found.rows, DECIDING_TOGETHER)
         cells = (MISSING,) * 5
-        if found.judgement != Judgement.NOT_JUDGED and spoken:
+        if found.judgement != Judgement.NOT_EVALUATED and spoken:
             row = spoken[0]
             won, p = f"{row.dives_won}/{row.dives}", f"{finite(row.p):.2g}"
             cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high), won, p)
@@ -121,7 +121,7 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
     firsts = Counter(
         next((row.quantity, row.unit) for row in rows if row.filter == name)
         for name, rows in evidence
-        if any(row.filter == name and row.evidence != HONESTY for row in rows)
+        if any(row.filter == name and row.evidence != CONSISTENT for row in rows)
     )
     quantity, unit = firsts.most_common(1)[0][0] if firsts else ("", "")
     dives = []
@@ -176,7 +176,7 @@ COLUMNS: Final = (
 def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
     """Write a row for each log and candidate, as CSV, in the order of the logs.
 
-    Status is ``done`` or ``failed``; a failed log has a reason instead of numbers. A candidate that is ``not judged``
+    Status is ``done`` or ``failed``; a failed log has a reason instead of numbers. A candidate that is not evaluated
     has no gain.
     """
     rows: list[tuple[object, ...]] = []
@@ -186,7 +186,7 @@ def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
             continue
         for name, candidate in outcome.filters.items():
             gains = (candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct)
-            if candidate.improvement == Judgement.NOT_JUDGED:
+            if candidate.improvement == Judgement.NOT_EVALUATED:
                 gains = (None, None)
             positions = (*_position_rmse(outcome, name, "position_h"), *_position_rmse(outcome, name, "position_h_pct"))
             measured = [row for row in outcome.tables.consistency if row.filter == name and is_whole(row.measurement)]

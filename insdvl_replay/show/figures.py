@@ -24,7 +24,7 @@ from insdvl_replay.core.result import (
     filter_style,
 )
 from insdvl_replay.core.states import DEG, STATES
-from insdvl_replay.core.tables import CoastingRow, EvidenceRow, finite
+from insdvl_replay.core.tables import EvidenceRow, OutageRow, finite
 from insdvl_replay.evaluation.chi_square import mean_interval
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
 from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration
@@ -76,7 +76,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     clock = Clock(replay.start_ns, replay.end_ns)
     figures = (
         *_error_figure(replay, clock),
-        *coasting_figure(replay.curves.coasting, clock),
+        *outage_figure(replay.curves.outage, clock),
         *convergence_figure(replay.curves.convergence, replay.tables.evidence),
         _sigma_figure(replay.histories, clock),
         nis_figure(replay.histories, clock, lambda dof: mean_interval(dof, 1)),
@@ -101,8 +101,8 @@ def first_panels(replay: Replay) -> list[Panel]:
                 bands.append(Band(time, curve.low_m, curve.high_m, filter_style(number)))
         title = "horizontal position error [m]"
         panels.insert(0, Panel(title, clock.label, _filter_curves(curves, named=True), tuple(bands)))
-    elif replay.curves.coasting:
-        panels.insert(0, _drift_panel(replay.curves.coasting))
+    elif replay.curves.outage:
+        panels.insert(0, _drift_panel(replay.curves.outage))
     return [_shaded(panel, shades_of(replay), clock) for panel in panels]
 
 
@@ -172,7 +172,7 @@ def _settled_height(values: Floats) -> float:
 # --- The outage test and measured convergence.
 
 
-def coasting_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[Figure]:
+def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[Figure]:
     """Draw the drift without velocities over time, and where in the dive it is large; nothing without windows."""
     if not curves:
         return
@@ -180,9 +180,9 @@ def coasting_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator
     how = "of one window" if windows == 1 else f"over {windows} windows, one every {SHOWN_EVERY_S} s"
     by_window = [(name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()]
     yield Figure(
-        "Coasting: how far they drift while the DVL is withheld",
+        "DVL outage test: how far they drift while the DVL is withheld",
         f"By what the withheld velocities say, with or without a reference. First the median {how}, and shaded where "
-        f"95 % of them stay; then each window by itself, where it begins. {CoastingRow.footnote}",
+        f"95 % of them stay; then each window by itself, where it begins. {OutageRow.footnote}",
         (
             _drift_panel(curves),
             Panel(f"drift in {SHOWN_S} s, by where they begin [m]", clock.label, _filter_curves(by_window)),
@@ -192,7 +192,7 @@ def coasting_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator
 
 
 def _drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
-    """Draw the drift without velocities over the time they are withheld: median, and where 95 % stay."""
+    """Draw the drift without velocities over the time they are held_out: median, and where 95 % stay."""
     lines = _filter_curves([(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True)
     bands = tuple(
         Band(curve.time_s, np.zeros_like(curve.p95_m), curve.p95_m, filter_style(number))
@@ -298,7 +298,7 @@ def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[i
             if not len(innovations.nis):
                 continue
             time = clock.time(innovations.time_ns)
-            rejected = np.where(innovations.used | innovations.is_withheld, np.nan, innovations.nis)
+            rejected = np.where(innovations.used | innovations.is_held_out, np.nan, innovations.nis)
             curves = (
                 Curve(time, innovations.nis, f"{filter_style(number)} solid"),
                 Curve(time, rejected, REJECTED, points=True),

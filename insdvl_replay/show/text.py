@@ -37,7 +37,7 @@ _STYLES: Final[dict[str, str]] = {
     EvidenceWord.BETTER: "bold green",
     EvidenceWord.WORSE: "bold red",
     Judgement.MIXED: "bold yellow",
-    Judgement.NOT_JUDGED: "bold red",
+    Judgement.NOT_EVALUATED: "bold red",
     GateStatus.FAILED: "bold red",
 }
 """Words that have a colour."""

@@ -245,7 +245,7 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     row: Any
     for row in tables["verdicts"].itertuples():
         judged = f"{row.filter} is {row.verdict}" + (f" ({row.why} of what is expected)" if row.why else "")
-        if row.verdict == Consistency.TOO_FEW:
+        if row.verdict == Consistency.INSUFFICIENT:
             judged = f"{row.filter}: too few runs to judge it"
         yield (
             f"{judged}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "

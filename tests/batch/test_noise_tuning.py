@@ -71,7 +71,7 @@ def test_fit_finds_the_noise_that_the_dive_was_made_with(dive: Dive) -> None:
     assert "edge" not in note.text
     nis = frame(replay_dive(dive, config).tables.consistency).set_index(["filter", "measurement"])
     assert nis.loc[("tuned", "velocity"), "verdict"] == "consistent"
-    assert nis.loc[("baseline", "velocity"), "verdict"] == "over-cautious"
+    assert nis.loc[("baseline", "velocity"), "verdict"] == "conservative"
 
 
 def test_fit_says_where_it_met_the_edge_of_its_range(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:

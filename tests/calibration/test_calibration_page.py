@@ -67,7 +67,7 @@ def test_one_dive_differs_from_none_and_many_are_not_all_drawn(found: Calibratio
     assert len(figures[DRAWN].panels) == DRAWN
 
 
-def test_coasting_is_drawn_where_dives_coasted(found: Calibration, dives: list[ReadDive]) -> None:
+def test_outage_is_drawn_where_dives_coasted(found: Calibration, dives: list[ReadDive]) -> None:
     rows = [HeldOutRow("a", 2.0, 1.0, 3, 4.0, 1.5), HeldOutRow("b", 2.0, 1.0, 0, None, None)]
     *_, last = drawn(replace(found, held_out=tuple(rows)), dives).values()
     _, before, after = last.panels[0].curves

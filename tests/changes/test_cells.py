@@ -89,10 +89,10 @@ def test_numbers_that_print_two_digits_apart_are_not_the_same(value: float) -> N
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
-        ("consistent", "over-confident", "worse"),
-        ("over-confident", "over-cautious", "better"),
+        ("consistent", "overconfident", "worse"),
+        ("overconfident", "conservative", "better"),
         ("consistent", "consistent", "same"),
-        ("consistent", "too few", "changed"),
+        ("consistent", "insufficient data", "changed"),
         ("consistent", None, "changed"),
     ],
 )

@@ -88,7 +88,7 @@ def test_every_column_that_can_be_better_is_compared(tmp_path: Path) -> None:
 
 
 def test_each_column_is_judged_in_its_own_direction(tmp_path: Path) -> None:
-    new = content(ba_x_sd=0.5, reached_s=50.0, final=0.1, mean_nis=1.0, verdict="over-cautious", rejected=4)
+    new = content(ba_x_sd=0.5, reached_s=50.0, final=0.1, mean_nis=1.0, verdict="conservative", rejected=4)
     assert words(compared(tmp_path, content(), new)) == {
         ("improvement", "ba_x", "sd"): "better",
         ("convergence", "ba_x", "reached_s"): "worse",
@@ -338,7 +338,7 @@ def place(tmp_path: Path) -> Path:
     write(tmp_path / "worse" / "dive", content(rmse=0.44))
     write(tmp_path / "better" / "dive", content(rmse=0.2))
     write(tmp_path / "lost" / "dive", content(rmse=None))
-    write(tmp_path / "overconfident" / "dive", content(verdict="over-confident"))
+    write(tmp_path / "overconfident" / "dive", content(verdict="overconfident"))
     write(tmp_path / "more" / "dive", content())
     write(tmp_path / "more" / "second", content("second"))
     write(tmp_path / "other" / "one", content("one"))
@@ -370,7 +370,7 @@ def place(tmp_path: Path) -> Path:
         (["old", "better", "--fail-on", "worse"], 0, ""),
         (["old", "better", "--fail-on", "changed"], 1, "1 .*changed.*: dive"),
         (["old", "lost", "--fail-on", "worse:1000%"], 1, r"0\.4000 .*- deg \(worse\)"),
-        (["old", "overconfident", "--fail-on", "worse:50%"], 1, r"consistent .*over-confident \(worse\)"),
+        (["old", "overconfident", "--fail-on", "worse:50%"], 1, r"consistent .*overconfident \(worse\)"),
         (["more", "old", "--fail-on", "worse"], 1, "1 dive .*: second"),
         (["old", "more", "--fail-on", "worse"], 0, ""),
         (["old", "more", "--fail-on", "changed"], 1, "1 dive .*: second"),
@@ -518,10 +518,10 @@ def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
 
 
 def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
-    old, new = content(improvement="undecided", belief="undecided"), content(improvement="better", belief="borne out")
+    old, new = content(improvement="undecided", belief="undecided"), content(improvement="better", belief="confirmed")
     first, second, *rest = opening_lines(compared(tmp_path, old, new))
     assert re.fullmatch(r"aided .*better.* undecided", first)
-    assert re.fullmatch(r".*aided .*borne out.* undecided", second)
+    assert re.fullmatch(r".*aided .*confirmed.* undecided", second)
     assert not any(line.startswith("aided ") for line in rest)
     unchanged = compared(tmp_path / "same", content(), content(rmse=0.5))
     assert not any("is now" in line for line in opening_lines(unchanged))
@@ -536,7 +536,7 @@ def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_pa
     comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
     first, second = opening_lines(comparison)[:2]
     assert re.fullmatch(r"aided .*worse.* better \(one, two\)", first)
-    assert re.fullmatch(r".*aided .*undecided.* borne out \(3 of 4\)", second)
+    assert re.fullmatch(r".*aided .*undecided.* confirmed \(3 of 4\)", second)
 
 
 def test_a_verdict_that_an_early_report_lacks_has_not_changed(tmp_path: Path) -> None:
@@ -608,9 +608,9 @@ def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
 
 
 def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
-    """Of an over-cautious filter it is the worse one: what counts is the distance from 1, which the ratio is of."""
+    """Of an conservative filter it is the worse one: what counts is the distance from 1, which the ratio is of."""
     old, new = content(), content()
-    row = evidence_row(0.002) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
+    row = evidence_row(0.002) | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
     old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
     comparison = only_changed(compared(tmp_path, old, new))
     [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS off 1" in line]
@@ -624,6 +624,6 @@ def test_means_of_honesty_are_better_the_nearer_they_are_to_one(
     before, after = content(), content()
     for made, value in ((before, old), (after, new)):
         made["tables"]["evidence"] = [
-            evidence_row(value) | {"evidence": "honesty", "quantity": "nis", "unit": "", "ratio": 1.0}
+            evidence_row(value) | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
         ]
     assert words(compared(tmp_path, before, after), table="evidence")["evidence", "nis", "value"] == word

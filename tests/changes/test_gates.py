@@ -167,12 +167,12 @@ def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: 
         ({"table": "convergence", "column": "reached_s", "max": 1e9}, False),
         ({"table": "reference_error", "row": "roll", "column": "rmse", "max": 1e9}, False),
         ({"table": "filters", "column": "mean_improvement_pct", "min": -100}, False),
-        ({"table": "filters", "column": "improvement", "equals": "not judged"}, True),
+        ({"table": "filters", "column": "improvement", "equals": "not evaluated"}, True),
         ({"table": "consistency", "column": "mean_nis", "max": 1e9}, True),
     ],
 )
 def test_no_number_of_a_filter_that_is_not_judged_passes(keys: dict[str, Any], passed: bool) -> None:
-    report = stored(improvement="not judged")
+    report = stored(improvement="not evaluated")
     assert passes(gate(**keys), report) is passed
 
 
@@ -348,14 +348,14 @@ def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], pas
     [
         {"table": "evidence", "column": "word", "equals": ["better", "equivalent", "undecided", "worse", ""]},
         {"table": "evidence", "column": "ratio", "max": 1e9},
-        {"table": "filters", "column": "belief", "equals": ["borne out", "undecided", "not borne out"]},
+        {"table": "filters", "column": "belief", "equals": ["confirmed", "undecided", "not confirmed"]},
         {
             "table": "filters",
             "column": "improvement",
             "equals": ["better", "mixed", "equivalent", "undecided", "worse"],
         },
-        {"table": "coasting", "column": "ratio_to_baseline", "max": 1e9},
-        {"table": "coasting", "column": "windows_won_pct", "min": 0.0},
+        {"table": "outage", "column": "ratio_to_baseline", "max": 1e9},
+        {"table": "outage", "column": "windows_won_pct", "min": 0.0},
         {"table": "drift", "column": "p95", "max": 1e9},
     ],
     ids=lambda keys: f"{keys['table']}-{keys['column']}",
@@ -363,9 +363,9 @@ def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], pas
 @pytest.mark.parametrize("word", ["better", ""])
 def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_judged(keys: dict[str, Any], word: str) -> None:
     """Even where a report of another version has left a word beside it."""
-    report = stored(improvement="not judged", belief="undecided", word=word)
+    report = stored(improvement="not evaluated", belief="undecided", word=word)
     row = {"log": "dive", "filter": "aided"}
-    report.tables["coasting"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
+    report.tables["outage"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
     report.tables["drift"] = [row | {"quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert not passes(gate(**keys), report)
     report.filters["aided"]["improvement"] = "better"
@@ -373,7 +373,7 @@ def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_judged(keys
 
 
 def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -> None:
-    report = stored(improvement="not judged")
+    report = stored(improvement="not evaluated")
     report.tables["drift"] = [{"log": "dive", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert passes(gate(table="drift", filter="baseline", row="drift_60s", column="p95", max=1.0), report)
     report.tables["track_fit"] = [

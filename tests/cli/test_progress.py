@@ -15,7 +15,7 @@ from insdvl_replay.sim.dive import simulate_dive
 STAGES = [
     "reading the log",
     "running the filters",
-    "coasting without velocities",
+    "DVL outage test",
     "running the filters from drawn starts",
     "judging the filters",
     "writing the results",

@@ -144,7 +144,7 @@ def rendered(document: list[object], width: int = 80) -> str:
 
 
 def thirteen() -> list[Report | Failure]:
-    words = {"best": Judgement.BETTER, "worse": Judgement.WORSE, "dead": Judgement.NOT_JUDGED}
+    words = {"best": Judgement.BETTER, "worse": Judgement.WORSE, "dead": Judgement.NOT_EVALUATED}
     ratios = {"worse": 1.4, "wide": 123.4}
     made: list[Report | Failure] = [
         judged(name, words.get(name, Judgement.UNDECIDED), ratios.get(name, 0.8)) for name in THIRTEEN
@@ -192,8 +192,8 @@ def test_every_word_on_a_filter_stands_on_the_screen(judgement: Judgement) -> No
     text = rendered(list(dive_screen(judged("dive", judgement), "report.html")))
     line = next(line for line in text.split("\n") if line.startswith("aided against baseline: "))
     assert line.partition(": ")[2].lower() == judgement
-    assert ("it believes in" in text) == (judgement != Judgement.NOT_JUDGED), (
-        "nothing is believed of what is not judged"
+    assert ("it believes in" in text) == (judgement != Judgement.NOT_EVALUATED), (
+        "nothing is believed of what is not evaluated"
     )
 
 
@@ -258,7 +258,7 @@ def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
         for row in made.tables.evidence
     ]
     wide = [
-        replace(row, filter=name, quantity="velocity", verdict="over-confident")
+        replace(row, filter=name, quantity="velocity", verdict="overconfident")
         for name in filters
         for row in made.tables.credibility[:1]
     ]

@@ -131,7 +131,7 @@ def test_a_state_is_told_by_a_sensor_that_is_withheld_too(tmp_path: Path) -> Non
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"filters\.a .*depth_zero"):
         load_config(None, path, [])
-    path.write_text(f'{text}[evaluation]\nwithheld = ["depth"]\n')
+    path.write_text(f'{text}[evaluation]\nheld_out = ["depth"]\n')
     assert load_config(None, path, []).filters["a"].states == ("position", "depth_zero")
 
 
@@ -163,8 +163,8 @@ def test_a_key_that_is_not_known_is_told_the_one_that_was_meant(override: str, m
 @pytest.mark.parametrize(
     ("override", "taken"),
     [
-        ("evaluation.withheld=position", 'evaluation.withheld=["position"]'),
-        ("evaluation.withheld=[position,depth]", 'evaluation.withheld=["position", "depth"]'),  # what a shell leaves
+        ("evaluation.held_out=position", 'evaluation.held_out=["position"]'),
+        ("evaluation.held_out=[position,depth]", 'evaluation.held_out=["position", "depth"]'),  # what a shell leaves
         ("dvl.lever_arm_m=1,2,0.5", "dvl.lever_arm_m=[1.0, 2.0, 0.5]"),
         ("dvl.lever_arm_m=1", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
         ("dvl.lever_arm_m=[1, 2]", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
@@ -179,18 +179,18 @@ def test_what_is_no_list_is_told_how_one_is_written(override: str, taken: str) -
 
 def test_a_list_in_a_file_is_written_as_toml(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
-        load_config(file=written(tmp_path, '[evaluation]\nwithheld = "depth"'))
-    assert 'evaluation.withheld = ["depth"]' in caught.value.hint
+        load_config(file=written(tmp_path, '[evaluation]\nheld_out = "depth"'))
+    assert 'evaluation.held_out = ["depth"]' in caught.value.hint
 
 
 def test_a_word_that_is_not_known_is_told_where_it_was_said(tmp_path: Path) -> None:
-    file = written(tmp_path, f"[evaluation]\nwithheld = ['gps']\n{RUN}aiding = ['speed']")
-    with pytest.raises(ConfigError, match=r"vehicle.toml: evaluation.withheld\[0\] 'gps'"):
+    file = written(tmp_path, f"[evaluation]\nheld_out = ['gps']\n{RUN}aiding = ['speed']")
+    with pytest.raises(ConfigError, match=r"vehicle.toml: evaluation.held_out\[0\] 'gps'"):
         load_config(file=file)
     with pytest.raises(ConfigError, match=r"vehicle.toml: filters.b.aiding\[0\] 'speed'"):
-        load_config(file=file, overrides=["evaluation.withheld=[]"])
+        load_config(file=file, overrides=["evaluation.held_out=[]"])
     with pytest.raises(ConfigError, match=r"^--set .*: filters.b.aiding\[0\] 'beam'"):
-        load_config(file=file, overrides=["evaluation.withheld=[]", 'filters.b.aiding=["beam"]'])
+        load_config(file=file, overrides=["evaluation.held_out=[]", 'filters.b.aiding=["beam"]'])
 
 
 def test_overrides_that_only_fit_together_are_taken_together() -> None:

@@ -26,7 +26,7 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
         ("consistency", "measurement", "mean_nis"),
         ("credibility", "quantity", "mean_nees"),
         ("evidence", "quantity", "ratio"),
-        ("coasting", "window_s", "drift_median_m"),
+        ("outage", "window_s", "drift_median_m"),
         ("drift", "quantity", "p50"),
         ("track_fit", "quantity", "fitted"),
         ("jumps", "filter", "jumps"),
@@ -35,14 +35,14 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
 
 def test_every_judgement_has_a_sentence_and_a_rank() -> None:
     candidates, *_ = LAYOUTS
-    assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Judgement.NOT_JUDGED} == {*Judgement}
+    assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Judgement.NOT_EVALUATED} == {*Judgement}
 
 
-_OTHERS = "|".join(("beam_", "parity", "withheld_", *SENSORS))
+_OTHERS = "|".join(("beam_", "parity", "held_out_", *SENSORS))
 OF_MORE = {
     "credibility": re.compile("position"),
     "consistency": re.compile(_OTHERS),
-    "evidence": re.compile("withheld_"),
+    "evidence": re.compile("held_out_"),
 }
 """Rows of filters with more states, or more sensors."""
 
@@ -51,7 +51,7 @@ OF_MORE = {
 def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
     """On 200 s there are windows of 30 s alone, and no two stretches of 300 s."""
     replay = replay_dive(simulate_dive("straight", seed=1, duration_s=200.0), Config())
-    longer = {f"coasting_{length}s" for length in (60, 120, 300)} | {"60", "120", "300"}
+    longer = {f"outage_{length}s" for length in (60, 120, 300)} | {"60", "120", "300"}
     assert replay.tables.jumps == []  # neither filter has a position that could
     for layout, rows in each_table(replay.tables):
         if layout.name == "jumps":
@@ -80,9 +80,9 @@ def test_a_message_definition_is_what_the_row_type_says(layout: TableLayout) -> 
         ("reference_error", "samples", ""),
         ("evidence", "value", "mg"),
         ("evidence", "ratio", ""),
-        ("coasting", "drift_median_m", "m"),
-        ("coasting", "end_velocity_mps", "m/s"),
-        ("coasting", "ratio_to_baseline", ""),
+        ("outage", "drift_median_m", "m"),
+        ("outage", "end_velocity_mps", "m/s"),
+        ("outage", "ratio_to_baseline", ""),
     ],
 )
 def test_a_unit_holds_for_the_physical_quantities_of_its_row(table: str, column: str, unit: str) -> None:

@@ -73,8 +73,8 @@ def test_interval_holds_the_mean_of_19_in_20_honest_filters() -> None:
         (2.0, "consistent"),
         (3.0, "consistent"),
         (4.0, "consistent"),
-        (4.001, "over-confident"),
-        (1.999, "over-cautious"),
+        (4.001, "overconfident"),
+        (1.999, "conservative"),
         (np.inf, "not finite"),
         (np.nan, "not finite"),
     ],
@@ -83,7 +83,7 @@ def test_verdict_between_2_and_4(mean: float, word: str) -> None:
     assert consistency_verdict(mean, 2.0, 4.0, dof=3)[0] == word
 
 
-@pytest.mark.parametrize(("mean", "word"), [(3.29, "consistent"), (3.31, "over-confident"), (2.69, "over-cautious")])
+@pytest.mark.parametrize(("mean", "word"), [(3.29, "consistent"), (3.31, "overconfident"), (2.69, "conservative")])
 def test_verdict_asks_for_size_beside_significance(mean: float, word: str) -> None:
     assert consistency_verdict(mean, 2.99, 3.01, dof=3)[0] == word
 
@@ -100,7 +100,7 @@ def test_consistent_is_not_said_outside_the_interval_without_the_reason(mean_nis
 
 
 @pytest.mark.parametrize(
-    ("mean_nis", "word"), [(3.0, "consistent"), (6.0, "over-confident"), (1.0, "over-cautious"), (np.nan, "not finite")]
+    ("mean_nis", "word"), [(3.0, "consistent"), (6.0, "overconfident"), (1.0, "conservative"), (np.nan, "not finite")]
 )
 def test_verdict_of_a_filter(mean_nis: float, word: str) -> None:
     row = judged(np.full(100, mean_nis))
@@ -145,7 +145,7 @@ def test_axes_are_judged_each_by_its_own_variance() -> None:
     table = with_innovations(innovation_b, sd_b)
     assert table.loc["velocity", "verdict"] == "consistent"
     assert table.loc["velocity_x":"velocity_z", "verdict"].tolist() == [
-        "over-confident", "consistent", "over-cautious",
+        "overconfident", "consistent", "conservative",
     ]  # fmt: skip
     # The mean of 2000 squares scatters by 3.2 %.
     np.testing.assert_allclose(table.loc["velocity_x":"velocity_z", "mean_nis"], [1.9, 1.0, 0.1], rtol=0.1)
@@ -176,14 +176,14 @@ def test_rejected_innovations_count_as_much_as_the_gate_is() -> None:
 def test_filter_that_rejects_what_it_meets_is_over_confident(used: int) -> None:
     nis = np.where(np.arange(100) < used, 1.0, 1e5)
     row = judged(nis, nis < GATE)
-    assert (row["used"], row["rejected"], row["verdict"]) == (used, 100 - used, "over-confident")
+    assert (row["used"], row["rejected"], row["verdict"]) == (used, 100 - used, "overconfident")
 
 
 def test_too_few_updates_are_not_judged() -> None:
     row = judged(np.full(FEWEST_UPDATES - 1, 3.0), np.zeros(FEWEST_UPDATES - 1))
-    assert (row["used"], row["rejected"], row["verdict"]) == (0, FEWEST_UPDATES - 1, "too few")
+    assert (row["used"], row["rejected"], row["verdict"]) == (0, FEWEST_UPDATES - 1, "insufficient data")
     assert row[["mean_nis", "low", "high", "autocorrelation", "autocorrelation_limit"]].isna().all()
-    assert row["whiteness"] == "too few"
+    assert row["whiteness"] == "insufficient data"
     assert judged(np.full(FEWEST_UPDATES, 3.0))["verdict"] == "consistent"
 
 
@@ -289,7 +289,7 @@ def rows(replay: Replay) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("factor", "word"), [(1.0, "consistent"), (0.5, "over-confident"), (2.0, "over-cautious")], ids=str
+    ("factor", "word"), [(1.0, "consistent"), (0.5, "overconfident"), (2.0, "conservative")], ids=str
 )
 def test_filter_that_knows_its_noise_is_consistent_and_one_that_does_not_is_found_out(
     dive: Dive, factor: float, word: str
@@ -331,4 +331,4 @@ def test_outlier_without_a_gate_is_used(dive: Dive) -> None:
     spoilt[100] += 0.5
     ungated = rows(replayed(replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=spoilt))))
     assert ungated.loc["baseline", "velocity"]["rejected"] == 0
-    assert ungated.loc["baseline", "velocity"]["verdict"] == "over-confident"
+    assert ungated.loc["baseline", "velocity"]["verdict"] == "overconfident"

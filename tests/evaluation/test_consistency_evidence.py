@@ -18,7 +18,7 @@ def credibility(filter_: str, groups: Sequence[Group]) -> list[CredibilityRow]:
     rows = [(name, 3, 3.0 * size, word) for name, size, word in groups]
     return [
         CredibilityRow("dive", filter_, name, dof, 9, mean, 0.5, 1.5, 68.0, 99.0, word, 9.0)
-        for name, dof, mean, word in (*rows, ("heading", 1, 50.0, "over-confident"), ("all", 12, 12.0, "consistent"))
+        for name, dof, mean, word in (*rows, ("heading", 1, 50.0, "overconfident"), ("all", 12, 12.0, "consistent"))
     ]
 
 
@@ -35,16 +35,21 @@ FINE = ("velocity", 1.0, "consistent")
 @pytest.mark.parametrize(
     ("before", "after", "values", "word"),
     [
-        ([("velocity", 0.01, "over-cautious"), ("attitude", 3.0, "over-confident")], [FINE], (3.0, 1.0), "better"),
-        ([FINE], [("velocity", 0.01, "over-cautious"), ("attitude", 1.5, "over-confident")], (1.0, 1.5), "worse"),
+        ([("velocity", 0.01, "conservative"), ("attitude", 3.0, "overconfident")], [FINE], (3.0, 1.0), "better"),
+        ([FINE], [("velocity", 0.01, "conservative"), ("attitude", 1.5, "overconfident")], (1.0, 1.5), "worse"),
         (
             [FINE],
-            [FINE, ("attitude", 0.05, "over-cautious"), ("gyro_bias", 0.1, "over-cautious")],
+            [FINE, ("attitude", 0.05, "conservative"), ("gyro_bias", 0.1, "conservative")],
             (1.0, 0.1),
             "worse",
         ),
-        ([FINE, ("attitude", 9.0, "too few")], [FINE, ("attitude", 0.1, "too few")], (1.0, 1.0), "equivalent"),
-        ([("velocity", 9.0, "too few")], [FINE], (9.0, 1.0), "undecided"),
+        (
+            [FINE, ("attitude", 9.0, "insufficient data")],
+            [FINE, ("attitude", 0.1, "insufficient data")],
+            (1.0, 1.0),
+            "equivalent",
+        ),
+        ([("velocity", 9.0, "insufficient data")], [FINE], (9.0, 1.0), "undecided"),
     ],
 )
 def test_gravest_group_of_errors_decides(

@@ -82,7 +82,7 @@ def test_errors_drawn_from_p_are_credible_in_every_row() -> None:
     np.testing.assert_allclose(table["effective_samples"], K, rtol=0.02)
 
 
-@pytest.mark.parametrize(("factor", "word"), [(1.2, "over-confident"), (0.8, "consistent"), (0.2, "over-cautious")])
+@pytest.mark.parametrize(("factor", "word"), [(1.2, "overconfident"), (0.8, "consistent"), (0.2, "conservative")])
 def test_errors_of_another_size_are_found_out_in_every_row(factor: float, word: str) -> None:
     table = judged(drawn(factor))
     assert (table["verdict"] == word).all()
@@ -115,14 +115,16 @@ def test_interval_is_that_of_the_independent_samples() -> None:
     assert row["samples"] == K
 
 
-@pytest.mark.parametrize(("sigmas", "word"), [(0.01, "too few"), (1.5, "too few"), (4.0, "over-confident")])
+@pytest.mark.parametrize(
+    ("sigmas", "word"), [(0.01, "insufficient data"), (1.5, "insufficient data"), (4.0, "overconfident")]
+)
 def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> None:
     """One sample within 1.5 sigma proves nothing, however often it is looked at; at 4 sigma it does."""
     table = judged(replace(drawn(), error=np.tile(sigmas * SD, (K, 1))))
     assert (table["verdict"].drop(["roll", "pitch", *CREDIBILITY_GROUPS, "all"]) == word).all()
 
 
-@pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "over-confident")])
+@pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "overconfident")])
 def test_rare_large_errors_are_found_though_their_mean_square_is_as_believed(times: float, word: str) -> None:
     """Every twentieth error is ``times`` as large as the others."""
     errors = drawn()
@@ -164,7 +166,7 @@ def hanging_on_heading(sigmas: float) -> StateErrors:
     return replace(drawn(), error=error, cov=np.tile(cov, (K, 1, 1)))
 
 
-@pytest.mark.parametrize(("sigmas", "word"), [(1.0, "consistent"), (0.4, "over-cautious")])
+@pytest.mark.parametrize(("sigmas", "word"), [(1.0, "consistent"), (0.4, "conservative")])
 def test_velocity_that_hangs_on_the_heading_is_judged_by_what_is_its_own(sigmas: float, word: str) -> None:
     row = judged(hanging_on_heading(sigmas)).loc["velocity_n"]
     assert row["mean_nees"] == pytest.approx(0.1 * sigmas**2, rel=0.11)
@@ -238,7 +240,7 @@ def test_groups_show_what_all_states_together_hide() -> None:
     error[:, 3:6] *= 1.4
     table = judged(replace(drawn(), error=error, cov=np.tile(cov, (K, 1, 1))))
     assert table.loc[["velocity", "attitude", "all"], "verdict"].tolist() == [
-        "over-cautious", "over-confident", "consistent",
+        "conservative", "overconfident", "consistent",
     ]  # fmt: skip
     assert table.loc["all", "mean_nees"] == pytest.approx(3.0 * (0.1**2 + 1.4**2 + 2.0), rel=0.05)
 
@@ -259,7 +261,7 @@ def test_rare_large_errors_are_the_reason_for_over_confident_inside_the_interval
     error = errors.error * np.where(np.arange(K) % 20 == 0, 10.0, 1.0)[:, None]
     row = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0)))).loc["velocity_d"]
     assert row["low"] < row["mean_nees"] < row["high"]
-    assert (row["verdict"], row["why"]) == ("over-confident", "many beyond 3 sd")
+    assert (row["verdict"], row["why"]) == ("overconfident", "many beyond 3 sd")
 
 
 def on_a_slow_error(share: float, slow: float, seed: int) -> StateErrors:
@@ -311,12 +313,12 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
     assert baseline["verdict"] == "consistent"
     # Below 12, since the filter starts at the reference.
     assert 6.0 < baseline["mean_nees"] < baseline["high"]
-    assert table.loc[("published", "all"), "verdict"] == "over-confident"
+    assert table.loc[("published", "all"), "verdict"] == "overconfident"
     for quantity in ("roll", "pitch"):
-        assert table.loc[("published", quantity), "verdict"] == "over-confident", "it leaves out w x v"
+        assert table.loc[("published", quantity), "verdict"] == "overconfident", "it leaves out w x v"
     verdict = replay.verdicts["published"]
-    assert verdict.credibility == "over-confident"
-    assert re.search(r"published .*over-confident.*baseline .*consistent", verdict.verdict)
+    assert verdict.credibility == "overconfident"
+    assert re.search(r"published .*overconfident.*baseline .*consistent", verdict.verdict)
 
 
 def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
@@ -326,13 +328,13 @@ def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
     for seed in (1, 2, 5):
         table = rows(replay_dive(add_errors(straight, *matched_errors(alone), seed), alone)).loc["baseline"]
         assert table.loc["velocity_e", "mean_nees"] < FAR_SMALLER
-        assert table.loc["velocity_e", "verdict"] in {"consistent", "too few"}
+        assert table.loc["velocity_e", "verdict"] in {"consistent", "insufficient data"}
         assert table.loc["velocity", "verdict"] == "consistent"
 
 
 def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None:
     replay = replay_dive(simulate_dive("figure-eight", duration_s=200.0, imu_rate_hz=50.0), Config())
-    assert set(rows(replay).xs("all", level="quantity")["verdict"]) == {"over-cautious"}
+    assert set(rows(replay).xs("all", level="quantity")["verdict"]) == {"conservative"}
 
 
 def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:

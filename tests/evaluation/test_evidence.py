@@ -31,13 +31,13 @@ def losses(of_one: Floats, floor: float = 0.0) -> SquaredErrors:
 
 def evidence(
     accuracy: Mapping[str, tuple[SquaredErrors, SquaredErrors]] | None = None,
-    coasting: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
+    outage: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
     convergence: Mapping[str, MeasuredConvergence] | None = None,
     nis: tuple[ConsistencyRow, ...] = (),
 ) -> dict[str, EvidenceRow]:
     """Hold one candidate against the baseline; rows by quantity."""
     before, after = ({name: pair[i] for name, pair in (accuracy or {}).items()} for i in range(2))
-    windows = [{name: np.array(pair[i]) for name, pair in (coasting or {}).items()} for i in range(2)]
+    windows = [{name: np.array(pair[i]) for name, pair in (outage or {}).items()} for i in range(2)]
     measured = Measured(
         {"aided": (before, after)},
         dict(zip(("baseline", "aided"), windows, strict=True)),
@@ -151,19 +151,19 @@ def test_a_copy_is_equivalent_however_noisy_the_reference_is() -> None:
     assert evidence({"drift_30s": (same, same)})["drift_30s"].word == "equivalent"
 
 
-def test_coasting_is_compared_window_by_window() -> None:
+def test_outage_is_compared_window_by_window() -> None:
     drifts = [0.3, 0.5, 0.2, 0.4, 0.6, 0.3]
     far_off = [3.1, 5.0, 1.9, 4.1, 6.0, 2.9]
     rows = evidence(
-        coasting={
+        outage={
             "30s": (drifts, far_off),
             "60s": (drifts[:3], drifts[:3]),
             "120s": ([], []),
         }
     )
-    assert list(rows) == ["coasting_30s", "coasting_60s"]
+    assert list(rows) == ["outage_30s", "outage_60s"]
     far, few = rows.values()
-    assert (far.evidence, far.unit, far.starts, far.windows, far.word) == ("coasting", "m", 1, 6, "worse")
+    assert (far.evidence, far.unit, far.starts, far.windows, far.word) == ("outage", "m", 1, 6, "worse")
     assert far.ratio == pytest.approx(10.0, rel=0.02)
     assert far.baseline == pytest.approx(np.sqrt(np.mean(np.square(drifts))))
     assert few.word == "undecided"
@@ -195,17 +195,17 @@ def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
 @pytest.mark.parametrize(
     ("before", "after", "word"),
     [
-        ((10.0, "over-confident"), (1.05, "consistent"), "better"),
-        ((1.0, "consistent"), (4.0, "over-confident"), "worse"),
-        ((0.1, "over-cautious"), (0.2, "over-cautious"), "equivalent"),
-        ((0.1, "over-cautious"), (1.0, "consistent"), "better"),
-        ((0.5, "over-cautious"), (0.5, "over-cautious"), "equivalent"),
-        ((0.1, "over-cautious"), (2.0, "over-confident"), "worse"),
+        ((10.0, "overconfident"), (1.05, "consistent"), "better"),
+        ((1.0, "consistent"), (4.0, "overconfident"), "worse"),
+        ((0.1, "conservative"), (0.2, "conservative"), "equivalent"),
+        ((0.1, "conservative"), (1.0, "consistent"), "better"),
+        ((0.5, "conservative"), (0.5, "conservative"), "equivalent"),
+        ((0.1, "conservative"), (2.0, "overconfident"), "worse"),
     ],
 )
 def test_honest_is_who_is_nearer_and_not_over_confident_instead(before: Any, after: Any, word: str) -> None:
     row = evidence(nis=(nis("baseline", *before), nis("aided", *after)))["nis"]
-    assert (row.evidence, row.word) == ("honesty", word)
+    assert (row.evidence, row.word) == ("consistency", word)
     assert (row.baseline, row.value) == pytest.approx((before[0], after[0]))
 
 

@@ -19,14 +19,14 @@ AXES = {"depth": (), "heading": (), "position": ("n", "e")}
 FIXES_S = 3600
 
 
-def history(name: str, sensor: str, apart: Floats, *, is_withheld: bool = True) -> History:
+def history(name: str, sensor: str, apart: Floats, *, is_held_out: bool = True) -> History:
     """A filter that met a sensor once a second."""
     k, size = apart.shape
     time_ns = np.arange(k, dtype=np.int64) * 1_000_000_000
-    none, gate = np.zeros(k, np.bool_), -1.0 if is_withheld else np.inf
+    none, gate = np.zeros(k, np.bool_), -1.0 if is_held_out else np.inf
     met = Innovations(
-        f"withheld_{sensor}" if is_withheld else sensor, "m", AXES[sensor], time_ns, time_ns, apart, apart,
-        np.ones((k, size)), np.ones(k), ~none if not is_withheld else none, np.zeros(k), gate, 0, none,
+        f"held_out_{sensor}" if is_held_out else sensor, "m", AXES[sensor], time_ns, time_ns, apart, apart,
+        np.ones((k, size)), np.ones(k), ~none if not is_held_out else none, np.zeros(k), gate, 0, none,
     )  # fmt: skip
     nothing = np.empty((0, 3))
     return History(
@@ -82,7 +82,7 @@ def test_rms_is_that_of_the_change_over_a_minute() -> None:
     north, east = np.stack([time_s / 60.0, 0.0 * saw], axis=1), np.stack([0.0 * saw, time_s / 30.0], axis=1)
     row = word("position", north + saw[:, None], east + saw[:, None], 0.1)
     assert (row.baseline, row.value) == (pytest.approx(1.0, abs=0.06), pytest.approx(2.0, abs=0.06))
-    assert (row.evidence, row.quantity, row.unit, row.starts) == ("withheld", "withheld_position", "m", 1)
+    assert (row.evidence, row.quantity, row.unit, row.starts) == ("held_out", "held_out_position", "m", 1)
 
 
 def test_a_heading_is_taken_as_it_is_in_degrees() -> None:
@@ -93,9 +93,9 @@ def test_a_heading_is_taken_as_it_is_in_degrees() -> None:
 
 
 def test_a_depth_has_no_vote_and_what_was_used_is_no_evidence() -> None:
-    assert "withheld_depth" not in DECIDING
-    assert "withheld_position" in DECIDING
-    aided = history("aided", "depth", np.ones((9, 1)), is_withheld=False)
+    assert "held_out_depth" not in DECIDING
+    assert "held_out_position" in DECIDING
+    aided = history("aided", "depth", np.ones((9, 1)), is_held_out=False)
     assert not held_out_errors(aided, {"depth": np.array([0.1])})
 
 
@@ -115,26 +115,26 @@ def consistency_of(sd: float, correlation_s: float, seed: int) -> tuple[str, str
 def test_differences_that_stay_are_few_however_often_they_are_met() -> None:
     """By 3600 fixes as if each told something new, some 90 of 100 filters that are right were said to be wrong."""
     found = Counter(consistency_of(1.0, 60.0, seed) for seed in range(100))
-    right = found["consistent", "correlated"] + found["too few", "correlated"]
+    right = found["consistent", "correlated"] + found["insufficient data", "correlated"]
     assert right >= 85, found
-    assert Counter(consistency_of(1.0, 2000.0, seed)[0] for seed in range(100))["too few"] >= 60
+    assert Counter(consistency_of(1.0, 2000.0, seed)[0] for seed in range(100))["insufficient data"] >= 60
 
 
 def test_differences_that_are_too_large_are_found_all_the_same() -> None:
-    assert Counter(consistency_of(2.0, 60.0, seed)[0] for seed in range(50))["over-confident"] >= 48
+    assert Counter(consistency_of(2.0, 60.0, seed)[0] for seed in range(50))["overconfident"] >= 48
 
 
 def test_a_filter_without_the_states_that_a_sensor_needs_does_not_tell_how_far_off_it_may_be() -> None:
     met = history("baseline", "position", np.ones((99, 2)))
     rows = consistency_table("dive", (replace(met, states=STATES),))
     assert [(row.verdict, np.isnan(row.mean_nis or 0.0), row.whiteness) for row in rows] == [
-        ("not told", True, "correlated")
+        ("not available", True, "correlated")
     ] * 3
     # A gauge of depth has a zero, too.
-    assert consistency_table("dive", (history("baseline", "depth", np.ones((99, 1))),))[0].verdict == "not told"
+    assert consistency_table("dive", (history("baseline", "depth", np.ones((99, 1))),))[0].verdict == "not available"
 
 
-@pytest.mark.parametrize(("noise", "verdict"), [(1.0, "too few"), (0.5, "over-cautious")])
+@pytest.mark.parametrize(("noise", "verdict"), [(1.0, "insufficient data"), (0.5, "conservative")])
 def test_an_error_that_stays_and_happens_to_be_small_is_no_over_caution(noise: float, verdict: str) -> None:
     """S is twice the sensor's own variance: the other half is the position at the start, which is off by nothing."""
     apart = noise * np.random.default_rng(3).standard_normal((400, 2))

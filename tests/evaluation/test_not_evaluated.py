@@ -1,4 +1,4 @@
-"""Filters that are not judged, by closed forms."""
+"""Filters that are not evaluated, by closed forms."""
 
 import re
 from types import SimpleNamespace

@@ -8,8 +8,8 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.tables import layout_of
 from insdvl_replay.evaluation.outage_test import (
-    CoastingRow,
     OutagePlan,
+    OutageRow,
     OutageRun,
     OutageRuns,
     distance_along_m,
@@ -139,11 +139,11 @@ def test_innovations_are_turned_to_north_and_integrated() -> None:
     nothing = np.zeros((5, 3))
     innovation_b = np.column_stack([0.01 * np.arange(1, 5), np.zeros(4), np.zeros(4)])
     no, sd = np.zeros(4, bool), np.ones((4, 3))
-    withheld = Innovations("velocity", "m/s", ("x", "y", "z"), time_ns[1:], time_ns[1:], sd, innovation_b, sd,
+    held_out = Innovations("velocity", "m/s", ("x", "y", "z"), time_ns[1:], time_ns[1:], sd, innovation_b, sd,
                            np.arange(4.0), no,
                            np.zeros(4), -1.0, 0, no)  # fmt: skip
     history = History("baseline", time_ns, no, nothing, nothing, np.tile(east, (5, 1, 1)), nothing, nothing,
-                      np.ones((5, 12)), time_ns[:0], np.empty((0, 12, 12)), (withheld,))  # fmt: skip
+                      np.ones((5, 12)), time_ns[:0], np.empty((0, 12, 12)), (held_out,))  # fmt: skip
     coast = outage_run(history)
     np.testing.assert_allclose(coast.drift_n[:, 1], 0.005 * np.arange(5.0) ** 2, atol=1e-15)
     np.testing.assert_allclose(coast.drift_n[:, [0, 2]], 0.0, atol=1e-15)
@@ -175,7 +175,7 @@ def coasts_that_drift(**accel_mps2: Floats | float) -> OutageRuns:
     return OutageRuns(plan, 2.0 * np.arange(len(ping_ns)), runs)
 
 
-def rows_of(coasts: OutageRuns) -> dict[tuple[str, str], CoastingRow]:
+def rows_of(coasts: OutageRuns) -> dict[tuple[str, str], OutageRow]:
     rows = outage_test_table("dive", coasts)
     return {(row.filter, row.window_s): row for row in rows}
 
@@ -291,7 +291,7 @@ def test_curves_say_where_in_the_dive_each_window_lies() -> None:
 
 
 def test_the_row_type_is_a_table() -> None:
-    layout = layout_of("coasting", CoastingRow)
+    layout = layout_of("outage", OutageRow)
     assert (layout.key, layout.primary) == ("window_s", "drift_median_m")
     assert layout.rows == ("30", "60", "120", "300")
     assert layout.baseline_too

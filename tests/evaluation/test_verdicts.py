@@ -32,11 +32,11 @@ def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], ju
 @pytest.mark.parametrize(
     ("believed_pct", "ratio", "belief"),
     [
-        (40.0, (0.6, 0.5, 0.7), "borne out"),
-        (40.0, (0.79, 0.79, 0.79), "borne out"),
+        (40.0, (0.6, 0.5, 0.7), "confirmed"),
+        (40.0, (0.79, 0.79, 0.79), "confirmed"),
         (40.0, (0.8, 0.7, 0.9), "undecided"),
-        (40.0, (0.9, 0.81, 0.99), "not borne out"),
-        (40.0, (1.5, 1.2, 1.8), "not borne out"),
+        (40.0, (0.9, 0.81, 0.99), "not confirmed"),
+        (40.0, (1.5, 1.2, 1.8), "not confirmed"),
         (4.0, (0.6, 0.5, 0.7), "undecided"),
         (-30.0, (0.6, 0.5, 0.7), "undecided"),
     ],
@@ -47,7 +47,7 @@ def test_belief_is_borne_out_by_half_of_it_with_its_interval(
     assert judged(["better"], believed_pct, ratio).belief == belief
 
 
-@pytest.mark.parametrize(("starts", "belief"), [(1, "undecided"), (7, "undecided"), (8, "not borne out")])
+@pytest.mark.parametrize(("starts", "belief"), [(1, "undecided"), (7, "undecided"), (8, "not confirmed")])
 def test_few_starts_say_nothing_of_what_is_believed(starts: int, belief: str) -> None:
     """From the exact start a filter cannot show that it wears off errors of the start."""
     found = judged(["equivalent"], 40.0, (1.0, 0.99, 1.01), starts=starts)
@@ -67,17 +67,17 @@ def test_as_good_names_what_the_first_piece_leaves_undecided() -> None:
 def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, word: str) -> None:
     verdict = judged(
         [word],
-        of_baseline="over-confident",
-        errors_of_aided="too few",
-        errors_of_baseline="too few",
+        of_baseline="overconfident",
+        errors_of_aided="insufficient data",
+        errors_of_baseline="insufficient data",
         unsound={"aided": f"{unsound} rejected 209 of 300"},
     )
-    assert (verdict.improvement, verdict.belief) == ("not judged", "undecided")
+    assert (verdict.improvement, verdict.belief) == ("not evaluated", "undecided")
     assert f": {unsound} rejected 209 of 300" in verdict.verdict
 
 
 def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
-    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="over-confident", honesty="worse").verdict
+    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="overconfident", honesty="worse").verdict
     assert re.match(
         r"aided .*WORSE .*baseline: drift in 30 s 75\.0 % .*2 m, .*3\.5 m; .*\+50\.0 .*\+100\.0 %", sentence
     )
@@ -90,8 +90,8 @@ def test_a_reference_that_shares_sensors_is_part_of_the_sentence() -> None:
     assert judged(["better"], independent=False).verdict.startswith(f"{apart} ")
 
 
-@pytest.mark.parametrize("errors", ["consistent", "over-confident", "too few", "no reference"])
-@pytest.mark.parametrize("innovations", ["consistent", "over-confident", "too few"])
+@pytest.mark.parametrize("errors", ["consistent", "overconfident", "insufficient data", "no reference"])
+@pytest.mark.parametrize("innovations", ["consistent", "overconfident", "insufficient data"])
 def test_innovations_and_errors_have_a_word_each(innovations: str, errors: str) -> None:
     verdict = judged(["undecided"], of_aided=innovations, errors_of_aided=errors)
     assert (verdict.consistency, verdict.credibility) == (innovations, errors)
@@ -100,40 +100,40 @@ def test_innovations_and_errors_have_a_word_each(innovations: str, errors: str) 
 def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
     rows = [
         ("a", "velocity", "consistent"),
-        ("a", "acceleration", "over-cautious"),
-        ("a", "velocity", "over-confident"),
-        ("b", "velocity", "over-cautious"),
-        ("b", "velocity_x", "over-confident"),
-        ("c", "velocity", "too few"),
+        ("a", "acceleration", "conservative"),
+        ("a", "velocity", "overconfident"),
+        ("b", "velocity", "conservative"),
+        ("b", "velocity_x", "overconfident"),
+        ("c", "velocity", "insufficient data"),
     ]
     table = [consistency(*row) for row in rows]
     assert [consistency_of(table, name) for name in "abcd"] == [
-        "over-confident",
-        "over-cautious",
-        "too few",
-        "not told",
+        "overconfident",
+        "conservative",
+        "insufficient data",
+        "not available",
     ]
 
 
 def test_gravest_group_of_errors_stands_for_the_filter() -> None:
     rows = [
-        ("a", "heading", "over-confident"),
-        ("a", "velocity", "over-cautious"),
+        ("a", "heading", "overconfident"),
+        ("a", "velocity", "conservative"),
         ("a", "attitude", "consistent"),
         ("a", "all", "consistent"),
-        ("b", "velocity", "over-cautious"),
-        ("b", "attitude", "over-confident"),
+        ("b", "velocity", "conservative"),
+        ("b", "attitude", "overconfident"),
         ("b", "all", "consistent"),
         ("c", "velocity", "consistent"),
         ("c", "attitude", "not in reference"),
-        ("d", "velocity", "too few"),
+        ("d", "velocity", "insufficient data"),
         ("d", "attitude", "not in reference"),
         ("e", "velocity", "no reference"),
         ("e", "attitude", "no reference"),
     ]
     table = [credibility(*row) for row in rows]
     assert [credibility_of(table, name) for name in "abcde"] == [
-        "over-cautious", "over-confident", "consistent", "too few", "no reference",
+        "conservative", "overconfident", "consistent", "insufficient data", "no reference",
     ]  # fmt: skip
 
 

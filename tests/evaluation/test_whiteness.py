@@ -51,7 +51,7 @@ def test_nothing_that_varies_has_no_autocorrelation() -> None:
     value, limit = autocorrelation(np.zeros((100, 3)), EVERY[:100])
     assert np.isnan(value)
     assert whiteness(value, limit) == "not finite"
-    assert whiteness(*autocorrelation(np.zeros((FEWEST_PAIRS, 3)), EVERY[:FEWEST_PAIRS])) == "too few"
+    assert whiteness(*autocorrelation(np.zeros((FEWEST_PAIRS, 3)), EVERY[:FEWEST_PAIRS])) == "insufficient data"
 
 
 @pytest.mark.parametrize(

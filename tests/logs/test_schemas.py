@@ -25,7 +25,7 @@ TABLES = {
     "effective_samples,why",
     "EvidenceRow": "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,"
     "word,p,why",
-    "CoastingRow": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
+    "OutageRow": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
     "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
 }
 UNITS = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}

@@ -228,15 +228,15 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     np.testing.assert_allclose(coasted.velocity_n, whole.velocity_n[rows], rtol=0.0, atol=2e-5)
     np.testing.assert_allclose(coasted.mat_nb, whole.mat_nb[rows], rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(coasted.sd, whole.sd[rows], rtol=1e-5)
-    withheld, noisy = coasted.innovations[0], whole.innovations[0]
-    assert not withheld.used.any()
+    held_out, noisy = coasted.innovations[0], whole.innovations[0]
+    assert not held_out.used.any()
     innovation_b = noisy.innovation[first + 1 : last + 1]
-    np.testing.assert_allclose(withheld.innovation, innovation_b, rtol=0.0, atol=2e-5)
+    np.testing.assert_allclose(held_out.innovation, innovation_b, rtol=0.0, atol=2e-5)
 
 
 @pytest.mark.parametrize("filter_", [Filter(aiding=("velocity",)), AIDED], ids=["velocity", "both"])
 @pytest.mark.parametrize("at_s", [20.4, 101.0])
-def test_coasting_is_a_run_in_which_pings_say_nothing(filter_: Filter, at_s: float) -> None:
+def test_outage_is_a_run_in_which_pings_say_nothing(filter_: Filter, at_s: float) -> None:
     dive = simulate_dive("figure-eight", seed=3, duration_s=150.0, dvl_rate_hz=3.0, lever_arm_m=LEVER_ARM_M)
     config = Config(dvl=Dvl(lever_arm_m=LEVER_ARM_M), filters={"only": filter_})
     assert_same_coast(dive, config, at_s, 40.0)

@@ -36,10 +36,10 @@ def test_a_baseline_that_hardly_trusts_its_dvl_is_beaten_and_a_dead_one_is_not_j
     tasks = [(number_of(name), dive) for name in (CAUTIOUS, DEAD) for dive in range(DIVES)]
     better, dead = judged_candidates(list(judged_dives(tasks, jobs=1)), "reference")
     assert (better.name, better.kind, better.words["better"]) == (CAUTIOUS, "A", DIVES)
-    assert (dead.name, dead.kind, dead.words) == (DEAD, "D", Counter({"not judged": DIVES}))
+    assert (dead.name, dead.kind, dead.words) == (DEAD, "D", Counter({"not evaluated": DIVES}))
     told = page([better, dead], DIVES, "reference", 1.0)
     assert f"| truly better, said better | 100.0 % ({DIVES} of {DIVES}) |" in told
-    assert f"| dead, said anything but *not judged* | 0.0 % (0 of {DIVES}) |" in told
+    assert f"| dead, said anything but *not evaluated* | 0.0 % (0 of {DIVES}) |" in told
 
 
 def test_the_same_dive_of_a_world_is_made_again_and_another_differs() -> None:
@@ -126,9 +126,9 @@ def test_a_dive_at_sea_is_made_again_and_no_other_has_its_motion() -> None:
 
 def test_words_are_counted_in_the_class_that_is_true() -> None:
     right = of_words("a", "A?", Counter(better=45, worse=15), Counter(better=7))
-    dead = of_words("d", "D", Counter({"not judged": 50, "better": 10}), Counter({"not judged": 7}))
+    dead = of_words("d", "D", Counter({"not evaluated": 50, "better": 10}), Counter({"not evaluated": 7}))
     rows = dict(zip((question.asks for question in QUESTIONS), rates([right, dead]), strict=True))
     assert "| 75.0 % (45 of 60) | at least 60 % | 100.0 % (7 of 7) |" in rows["truly better, said better"]
     assert "| 25.0 % (15 of 60) |" in rows["truly better, said worse"]
     assert "| - | at least 60 % | - | 100 % |" in rows["truly worse, said worse"]
-    assert "| 16.7 % (10 of 60) | 0 | 0.0 % (0 of 7) |" in rows["dead, said anything but *not judged*"]
+    assert "| 16.7 % (10 of 60) | 0 | 0.0 % (0 of 7) |" in rows["dead, said anything but *not evaluated*"]

@@ -101,7 +101,7 @@ def test_bad_fixes_are_worse_or_not_judged_and_their_nis_is_told(exact: Dive) ->
     replays = [replay_dive(survey(exact, FOG, seed, bad_share=0.2), FOG) for seed in range(2)]
     for replay in replays:
         assert (evidence(replay)["position"].ratio or 0.0) > 1.5
-        assert replay.verdicts["candidate"].improvement in {"worse", "not judged"}
+        assert replay.verdicts["candidate"].improvement in {"worse", "not evaluated"}
         (fixes,) = (row for row in replay.tables.consistency if row.measurement == "position")
         assert (fixes.mean_nis or 0.0) > 10.0 * fixes.dof
         trust = trust_sentence(replay.tables, "candidate", "baseline")
@@ -113,7 +113,7 @@ def test_track_is_judged_by_fixes_and_depths_that_are_held_out(exact: Dive) -> N
     """Without a reference they tell as much as it would but for their own noise."""
     config = changed(
         NOISY,
-        evaluation=Evaluation(starts=1, withheld=("position", "depth")),
+        evaluation=Evaluation(starts=1, held_out=("position", "depth")),
         filters={"baseline": VELOCITY, "candidate": changed(VELOCITY, states=("position",))},
     )
     dive = survey(exact, config, 1)
@@ -121,7 +121,7 @@ def test_track_is_judged_by_fixes_and_depths_that_are_held_out(exact: Dive) -> N
     known = evidence(replay_dive(dive, config))
     start = dive.reference.rows(np.arange(len(dive.reference.time_ns)) < 2)
     told = evidence(replay_dive(replace(dive, reference=start, truth=None), config))
-    assert told["withheld_position"].ratio == pytest.approx(1.0, abs=1e-3), "corrections are no drift here, either"
+    assert told["held_out_position"].ratio == pytest.approx(1.0, abs=1e-3), "corrections are no drift here, either"
     for quantity, noise_m in (("position", np.sqrt(2.0)), ("depth", 0.05)):
         expected = np.hypot(known[quantity].value or 0.0, noise_m)
         assert told[quantity].value == pytest.approx(expected, rel=0.15)

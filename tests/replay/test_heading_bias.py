@@ -84,7 +84,7 @@ def test_small_innovations_that_repeat_are_not_called_over_cautious() -> None:
     replay = replayed(dive_with_slow_heading(0), SLOW_SD_DEG)
     (row,) = (row for row in replay.tables.consistency if (row.filter, row.measurement) == ("aided", "heading"))
     assert (row.mean_nis or 0.0) < 0.5
-    assert (row.verdict, row.why) == (Consistency.TOO_FEW, Reason.ONE_SAMPLE)
+    assert (row.verdict, row.why) == (Consistency.INSUFFICIENT, Reason.ONE_SAMPLE)
     assert heading_nees(replay, replay.histories[1]).mean() > 17.0
     (note,) = (note for note in replay.notes if note.code == "heading_slow_error")
     assert (note.severity, "filter aided " in note.text) == (Severity.WARNING, True)

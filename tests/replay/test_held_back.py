@@ -89,7 +89,7 @@ def assert_drifts_as_the_baseline(replay: Replay, lengths: int) -> None:
     baseline, copy = replay.histories
     np.testing.assert_allclose(copy.velocity_n, baseline.velocity_n, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(copy.sd, baseline.sd, rtol=1e-9)
-    rows = [row for row in replay.tables.coasting if row.filter == "copy"]
+    rows = [row for row in replay.tables.outage if row.filter == "copy"]
     assert len(rows) == lengths
     for row in rows:
         assert row.drift_median_m > 1.0
@@ -270,7 +270,7 @@ def test_a_recorded_solution_is_there_in_outages_too() -> None:
     }
     config = Config(filters=filters, evaluation=Evaluation(starts=1))
     replay = replay_dive(replace(dive, solutions={"mine": solution}), config)
-    assert "beside" in {row.filter for row in replay.tables.coasting}
+    assert "beside" in {row.filter for row in replay.tables.outage}
 
 
 class Failing(Copy):
@@ -361,7 +361,7 @@ def test_in_an_outage_nothing_is_given_that_the_dvl_had_a_part_in(dive: Dive) ->
 def test_the_topic_of_the_dvl_in_a_log_counts_as_its_pings(dive: Dive, tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", dive)
     topics = {name: Topic(topic=topic, values=field) for name, (topic, field) in RAW.items()}
-    config = Config(topics=topics, evaluation=Evaluation(withheld=("depth",)))
+    config = Config(topics=topics, evaluation=Evaluation(held_out=("depth",)))
     read = read_checked_dive(tmp_path / "dive.mcap", config)
     given = given_dive(read, config, outages_of(dive)[:1])
     assert set(given.topics) == {"pings", "samples"}
@@ -406,7 +406,7 @@ class OfPosition(OfSensor):
 )
 def test_a_held_out_sensor_is_not_in_the_dive(dive: Dive, word: str, sensor: str) -> None:
     filters = {"baseline": Filter(aiding=("velocity",)), "mine": Filter(aiding=("velocity", f"{HERE}:{word}"))}
-    config = Config(filters=filters, evaluation=Evaluation(starts=1, withheld=(sensor,)))
+    config = Config(filters=filters, evaluation=Evaluation(starts=1, held_out=(sensor,)))
     with pytest.raises(ConfigError, match=rf"{word}: readings\(self, dive\) .*KeyError: '{sensor}'") as refusal:
         prepare_dive(dive, config)
     assert sensor in str(refusal.value.hint)
@@ -414,7 +414,7 @@ def test_a_held_out_sensor_is_not_in_the_dive(dive: Dive, word: str, sensor: str
 
 def test_nothing_is_given_that_a_held_out_sensor_had_a_part_in(dive: Dive) -> None:
     dive, topics = with_topics(dive)
-    given = given_dive(dive, Config(topics=topics, evaluation=Evaluation(withheld=("depth",))))
+    given = given_dive(dive, Config(topics=topics, evaluation=Evaluation(held_out=("depth",))))
     assert set(given.sensors) == {"heading", "position"}
     assert set(given.topics) == {"dvl", "ping", "free"}
     assert (given.reference, given.solutions) == (None, {})

@@ -255,7 +255,7 @@ class Beams(Speed):
 class Withheld(Speed):
     """The name that a sensor has which is withheld."""
 
-    name = "withheld_speed"
+    name = "held_out_speed"
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,7 @@ class Withheld(Speed):
         ("Unitless", "unit 3"),
         ("FifthBeam", "name 'beam_5'"),
         ("Beams", "name 'beams'"),
-        ("Withheld", "name 'withheld_speed'"),
+        ("Withheld", "name 'held_out_speed'"),
     ],
 )
 def test_names_that_cannot_be_are_told(word: str, named: str) -> None:

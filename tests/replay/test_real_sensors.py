@@ -21,11 +21,11 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the real logs in ../shared/data are not here")
 
 
-def square(withheld: str, *, aided_by: tuple[str, ...]) -> Replay:
+def square(held_out: str, *, aided_by: tuple[str, ...]) -> Replay:
     """The Blueye's square, whose fixes are the reference's, too."""
     overrides = [
         f"filters.more.aiding={['velocity', *aided_by]}".replace("'", '"'),
-        f'evaluation.withheld=["{withheld}"]',
+        f'evaluation.held_out=["{held_out}"]',
         'position.topic="blueye.protocol.PositionEstimateTel"',
         "position.sd_m=0.5",
         "depth.sd_m=0.05",
@@ -42,9 +42,9 @@ def evidence(replay: Replay, quantity: str) -> EvidenceRow:
 def test_fixes_that_are_withheld_say_what_the_reference_says() -> None:
     """They are its own: what drifts by 1.5 m in a minute against the one does against the other."""
     replay = square("position", aided_by=("depth",))
-    withheld, against = evidence(replay, "withheld_position"), evidence(replay, "drift_60s")
-    assert withheld.windows > 20
-    assert withheld.baseline == pytest.approx(against.baseline, rel=0.25)
+    held_out, against = evidence(replay, "held_out_position"), evidence(replay, "drift_60s")
+    assert held_out.windows > 20
+    assert held_out.baseline == pytest.approx(against.baseline, rel=0.25)
     assert [note.code for note in replay.notes if note.code.endswith("_is_reference")] == ["position_is_reference"]
     assert replay.verdicts["more"].improvement == "equivalent"
     depth = next(one for one in replay.histories[2].innovations if one.measurement == "depth")
@@ -54,13 +54,13 @@ def test_fixes_that_are_withheld_say_what_the_reference_says() -> None:
 
 def test_a_depth_that_is_withheld_says_how_the_height_drifts() -> None:
     replay = square("depth", aided_by=("position",))
-    withheld = evidence(replay, "withheld_depth")
-    assert withheld.windows > 20
-    assert withheld.baseline is not None
-    assert 0.01 < withheld.baseline < 0.5
-    met = next(one for one in replay.histories[0].innovations if one.measurement == "withheld_depth")
+    held_out = evidence(replay, "held_out_depth")
+    assert held_out.windows > 20
+    assert held_out.baseline is not None
+    assert 0.01 < held_out.baseline < 0.5
+    met = next(one for one in replay.histories[0].innovations if one.measurement == "held_out_depth")
     assert len(met.nis) > 1000
-    assert replay.verdicts["more"].improvement == "not judged"
+    assert replay.verdicts["more"].improvement == "not evaluated"
     assert "position" in replay.verdicts["more"].verdict
 
 

@@ -38,7 +38,7 @@ def test_the_solution_of_the_snapir_lies_on_its_own_positions(snapir: Path) -> N
     assert abs(found["onboard"].fitted or 0.0) < 1.0
     assert [(row.filter, row.jumps) for row in replay.tables.jumps] == [("onboard", 0)]
     assert "solution_onboard_is_reference" in {note.code for note in replay.notes}
-    assert replay.verdicts["onboard"].improvement == "not judged"
+    assert replay.verdicts["onboard"].improvement == "not evaluated"
 
 
 def test_the_estimate_of_the_blueye_knows_the_satellites(blueye: Path) -> None:
@@ -53,4 +53,4 @@ def test_the_estimate_of_the_blueye_knows_the_satellites(blueye: Path) -> None:
     assert 0.2 < onboard.rmse < 1.0 < (onboard.baseline_rmse or 0.0)
     assert (onboard.status, error["onboard", "heading"].status) == ("compared", "not in reference")
     assert "solution_onboard_is_reference" in {note.code for note in replay.notes}
-    assert replay.verdicts["onboard"].improvement == "not judged"
+    assert replay.verdicts["onboard"].improvement == "not evaluated"

@@ -28,7 +28,7 @@ NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=2e-6)
 VELOCITY = Filter(aiding=("velocity",))
 Rows = Callable[[Floats], NDArray[np.bool_]]
 """Chooses rows by their seconds from the start of the dive."""
-TABLES = ("improvement", "convergence", "reference_error", "consistency", "credibility", "evidence", "coasting",
+TABLES = ("improvement", "convergence", "reference_error", "consistency", "credibility", "evidence", "outage",
           "drift", "track_fit", "jumps")  # fmt: skip
 
 
@@ -250,7 +250,7 @@ def test_window_as_long_as_the_dive_is_no_trouble(straight: Dive, window: int) -
     )
     if window > len(straight.dvl.time_ns):
         np.testing.assert_array_equal(replay.histories[0].sd, replay.histories[1].sd)
-        assert frame(replay.tables.consistency)["verdict"].iloc[-1] == "too few"
+        assert frame(replay.tables.consistency)["verdict"].iloc[-1] == "insufficient data"
 
 
 # --- The span.

@@ -73,22 +73,22 @@ def test_depth_holds_the_height() -> None:
 
 
 def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
-    settings = config("depth", evaluation=Evaluation(withheld=("depth",)))
+    settings = config("depth", evaluation=Evaluation(held_out=("depth",)))
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
     for history in replay.histories:
-        met = next(one for one in history.innovations if one.measurement == "withheld_depth")
+        met = next(one for one in history.innovations if one.measurement == "held_out_depth")
         assert len(met.nis) == 1600
         assert not met.used.any()
     drawn = nis_figure(replay.histories, Clock(0, 10**12), lambda dof: (0.0, 1.0)).panels
     for panel in drawn:  # what no gate has rejected is not marked so
         assert np.isnan(panel.curves[1].y).all()
-    assert re.fullmatch("candidate: .*withheld_depth", drawn[-1].title)
+    assert re.fullmatch("candidate: .*held_out_depth", drawn[-1].title)
     np.testing.assert_array_equal(replay.histories[0].velocity_n, replay.histories[1].velocity_n)
-    (note,) = (note for note in replay.notes if note.code == "depth_withheld")
+    (note,) = (note for note in replay.notes if note.code == "depth_held_out")
     assert "candidate" in note.text
-    rows = [row for row in replay.tables.consistency if row.measurement == "withheld_depth"]
+    rows = [row for row in replay.tables.consistency if row.measurement == "held_out_depth"]
     assert [(row.used, row.rejected) for row in rows] == [(0, 1600)] * 2
-    assert {row.verdict for row in rows} == {"not told"}
+    assert {row.verdict for row in rows} == {"not available"}
     assert not [note for note in replay.notes if note.code == "gate_rejects_many"]
 
 
@@ -240,7 +240,7 @@ def test_a_fix_without_height_starts_a_dive_at_the_configured_one(
 
 
 def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
-    """Through coasting, too, which takes the positions up that were written down."""
+    """Through outage, too, which takes the positions up that were written down."""
     dive = simulated(duration_s=300.0, position=SensorErrors(1.0, 1.0))
     assert dive.reference is not None
     east = np.pi - 1e-7 - dive.reference.position[0, 1]  # 0.5 m from there
@@ -421,9 +421,9 @@ def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
     replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5)))
     notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]
     assert notes == ["position_is_reference"] * told
-    assert (replay.verdicts["candidate"].improvement == "not judged") == told
-    withheld = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(withheld=("position",)))
-    assert replay_log(tmp_path / "dive.mcap", withheld).verdicts["candidate"].improvement != "not judged"
+    assert (replay.verdicts["candidate"].improvement == "not evaluated") == told
+    held_out = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(held_out=("position",)))
+    assert replay_log(tmp_path / "dive.mcap", held_out).verdicts["candidate"].improvement != "not evaluated"
 
 
 FOOT_M = 0.3048
@@ -497,7 +497,7 @@ def test_a_withheld_sensor_that_is_misread_is_told_without_a_reference(
     right = dive.sensors[sensor]
     dive = replace(dive, reference=None, sensors={sensor: replace(right, values=misread(right.values))})
     initial = Initial(source="level", heading_deg=0.0, latitude_deg=32.8)
-    settings = config(initial=initial, evaluation=Evaluation(withheld=(sensor,)))
+    settings = config(initial=initial, evaluation=Evaluation(held_out=(sensor,)))
     replay = replay_dive(dive, settings)
     assert [note.code for note in replay.notes if note.code.startswith(sensor) and note.severity == "warning"] == told
 

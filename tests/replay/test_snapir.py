@@ -103,8 +103,8 @@ def test_the_published_model_is_worse_where_dives_turn_and_belief_is_not_borne_o
     assert words["published"]["worse"] >= 6
     assert not words["published"]["better"]
     for name in ("windowed", "published"):
-        assert beliefs[name]["not borne out"] >= 6
-        assert not beliefs[name]["borne out"]
+        assert beliefs[name]["not confirmed"] >= 6
+        assert not beliefs[name]["confirmed"]
     for run, replay in replays.items():
         if run != STRAIGHT:
             assert 35.0 < finite(replay.verdicts["windowed"].mean_improvement_pct) < 42.0
@@ -120,7 +120,7 @@ def test_together_the_dives_tell_the_models_apart(replays: dict[str, Replay]) ->
     judged = {name: str(pooled_judgement(rows, len(RUNS), len(RUNS))) for name, rows in pooled.items()}
     assert judged == {"windowed": "better", "published": "worse"}
     rows = {(name, row.quantity): row for name, of_one in pooled.items() for row in of_one}
-    for quantity in ("coasting_30s", "coasting_60s", "coasting_120s"):
+    for quantity in ("outage_30s", "outage_60s", "outage_120s"):
         published = rows["published", quantity]
         assert (published.word, published.dives_won) == ("worse", 0)
         assert finite(published.low) > 10.0
@@ -157,4 +157,4 @@ def test_with_fitted_noise_neither_model_of_the_acceleration_matters(fitted: dic
     for name in ("windowed", "published"):
         evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in fitted.values()]
         rows = {row.quantity: row for row in pooled_evidence(name, evidence)}
-        assert finite(rows["coasting_60s"].ratio) == pytest.approx(1.0, abs=0.1)
+        assert finite(rows["outage_60s"].ratio) == pytest.approx(1.0, abs=0.1)

@@ -89,13 +89,17 @@ def test_errors_drift_and_jumps_are_those_that_were_put_in(dive: Dive, tmp_path:
 
 
 def test_what_it_does_not_say_has_no_rows_and_is_noted(dive: Dive, tmp_path: Path) -> None:
-    """No belief, no innovations, no coasting: no row is made up, and words say so."""
+    """No belief, no innovations, no outage: no row is made up, and words say so."""
     parts = write_odometry(tmp_path / "own.mcap", truth_of(dive))
     replay = replayed(tmp_path, dive, config("/odometry"), parts)
-    for table in ("improvement", "convergence", "consistency", "credibility", "coasting"):
+    for table in ("improvement", "convergence", "consistency", "credibility", "outage"):
         assert rows(replay, table) == {}
     candidate = replay.verdicts["onboard"]
-    assert (candidate.consistency, candidate.credibility, candidate.belief) == ("not told", "not told", "undecided")
+    assert (candidate.consistency, candidate.credibility, candidate.belief) == (
+        "not available",
+        "not available",
+        "undecided",
+    )
     assert np.isnan([candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct]).all()
     assert "%" not in candidate.verdict.rpartition("onboard")[2]
 
@@ -147,7 +151,7 @@ def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float
     assert list(found)[-4:] == ["velocity", "attitude", "position", "all"]
     for group in ("velocity", "attitude", "position"):
         assert found[group].mean_nees == pytest.approx(3.0 * factor**2, rel=0.12)
-    word = {1.0: "consistent", 3.0: "over-confident", 0.2: "over-cautious"}[factor]
+    word = {1.0: "consistent", 3.0: "overconfident", 0.2: "conservative"}[factor]
     assert {found[group].verdict for group in ("velocity", "attitude", "position", "all")} == {word}
     assert replay.verdicts["onboard"].credibility == word
     assert f"onboard is {word} " in replay.verdicts["onboard"].verdict
@@ -166,7 +170,7 @@ def test_the_words_on_its_covariance_are_right_over_seeds(dive: Dive, tmp_path: 
             parts = [tmp_path / "dive.mcap", write_odometry(tmp_path / "own.mcap", told, covs)]
             found.append(word_on_groups(read_dive(parts, settings), settings, first))
     assert words[1.0].count("consistent") >= 11
-    assert words[1.5] == ["over-confident"] * 12
+    assert words[1.5] == ["overconfident"] * 12
 
 
 def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
@@ -345,7 +349,7 @@ def test_what_is_the_reference_by_another_name_is_not_judged(dive: Dive, tmp_pat
     read = read_checked_dive(tmp_path / "dive.mcap", settings)
     replay = replay_dive(read, settings)
     assert "solution_onboard_is_reference" in codes(replay)
-    assert replay.verdicts["onboard"].improvement == "not judged"
+    assert replay.verdicts["onboard"].improvement == "not evaluated"
 
 
 def test_the_reference_in_disguise_is_found(dive: Dive, tmp_path: Path) -> None:

@@ -38,9 +38,9 @@ def test_another_mounting_does_not(replay: Replay) -> None:
     turned = load_config(file=CONFIG, overrides=["dvl.mounting_rpy_deg=[0.0, 0.0, 0.0]"])
     other = replay_log(DATA / f"{replay.dive.name}.mcap", turned)
     velocity = frame(other.tables.consistency).set_index(["filter", "measurement"]).loc[("baseline", "velocity")]
-    assert velocity["verdict"] == "over-confident"
+    assert velocity["verdict"] == "overconfident"
     assert velocity["mean_nis"] > 4.0
-    assert other.verdicts["aided"].improvement == "not judged"
+    assert other.verdicts["aided"].improvement == "not evaluated"
     assert re.search(r"baseline \w+ \d+ of \d+", other.verdicts["aided"].verdict)
 
 

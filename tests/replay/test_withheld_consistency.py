@@ -59,12 +59,12 @@ def words(sensor: str, states: tuple[str, ...], start_sd: float = 1.0, told_sd: 
                 "baseline": Filter(aiding=("velocity",), states=states),
                 "candidate": Filter(aiding=("beams",), states=states),
             },
-            evaluation=Evaluation(withheld=(sensor,)),
+            evaluation=Evaluation(held_out=(sensor,)),
             position=Position(sd_m=told_sd),
             heading=Heading(sd_deg=told_sd),
         )
         rows = replay_dive(dive, config).tables.consistency
-        found.update(row.verdict for row in rows if (row.filter, row.measurement) == ("baseline", f"withheld_{sensor}"))
+        found.update(row.verdict for row in rows if (row.filter, row.measurement) == ("baseline", f"held_out_{sensor}"))
     return found
 
 
@@ -72,16 +72,16 @@ def words(sensor: str, states: tuple[str, ...], start_sd: float = 1.0, told_sd: 
 @pytest.mark.parametrize(("sensor", "states"), [("position", ("position",)), ("heading", ())])
 def test_filters_that_are_right_are_seldom_said_to_be_wrong(sensor: str, states: tuple[str, ...]) -> None:
     found = words(sensor, states)
-    assert found["consistent"] + found["too few"] >= DIVES - 1, found
+    assert found["consistent"] + found["insufficient data"] >= DIVES - 1, found
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("sensor", "states"), [("position", ("position",)), ("heading", ())])
-@pytest.mark.parametrize(("told_sd", "word"), [(3.0, "over-cautious"), (0.5, "over-confident")])
+@pytest.mark.parametrize(("told_sd", "word"), [(3.0, "conservative"), (0.5, "overconfident")])
 def test_a_wrong_noise_of_the_sensor_is_found(sensor: str, states: tuple[str, ...], told_sd: float, word: str) -> None:
     found = words(sensor, states, 0.1, told_sd)
     assert found[word] >= DIVES - 1, found
 
 
 def test_a_filter_that_does_not_estimate_the_position_does_not_tell() -> None:
-    assert words("position", ()) == {"not told": DIVES}
+    assert words("position", ()) == {"not available": DIVES}

@@ -1,4 +1,4 @@
-"""Pictures of the evidence say where a filter has converged, and what coasting is blind to."""
+"""Pictures of the evidence say where a filter has converged, and what outage is blind to."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
 from insdvl_replay.evaluation.outage_test import OutageCurve
-from insdvl_replay.show.figures import Clock, coasting_figure, convergence_figure
+from insdvl_replay.show.figures import Clock, convergence_figure, outage_figure
 
 S = 1_000_000_000
 TIME_S = np.array([0.2, 0.9, 1.0, 10.0, 100.0])
@@ -45,13 +45,13 @@ def test_each_filter_has_a_line_what_it_believes_and_a_point_where_it_has_conver
     assert list(convergence_figure({}, [])) == []
 
 
-def test_coasting_is_drawn_over_time_and_by_window_and_says_what_it_is_blind_to() -> None:
+def test_outage_is_drawn_over_time_and_by_window_and_says_what_it_is_blind_to() -> None:
     over_time = np.arange(3.0), np.array([0.0, 1.0, 2.0]), np.array([0.0, 2.0, 5.0])
     curve = OutageCurve(*over_time, np.array([100, 130]) * S, np.array([2.0, 5.0]))
-    (figure,) = coasting_figure({"baseline": curve, "aided": curve}, Clock(0, 400 * S))
+    (figure,) = outage_figure({"baseline": curve, "aided": curve}, Clock(0, 400 * S))
     assert "over 2 windows" in figure.caption
     drift, windows = figure.panels
     assert [band.style for band in drift.bands] == ["filter0", "filter1"]
     assert (drift.bands[0].low.tolist(), drift.bands[0].high.tolist()) == ([0.0] * 3, [0.0, 2.0, 5.0])
     assert (windows.curves[0].x.tolist(), windows.curves[0].y.tolist()) == ([100.0, 130.0], [2.0, 5.0])
-    assert list(coasting_figure({}, Clock(0, S))) == []
+    assert list(outage_figure({}, Clock(0, S))) == []

@@ -93,7 +93,7 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
 def test_believed_stands_beside_measured_where_both_are_known(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
     (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelievedmeasured"))
-    measured = {row.quantity: row.ratio for row in report.tables.evidence if row.evidence in ("accuracy", "coasting")}
+    measured = {row.quantity: row.ratio for row in report.tables.evidence if row.evidence in ("accuracy", "outage")}
     believed = {row.state: row.improvement_pct for row in report.tables.improvement}
     level_pct, drift_pct = (100.0 * (1.0 - finite(measured[name])) for name in ("level", "drift_30s"))
     assert f"level, north{believed['phi_n']:.1f} %{level_pct:.1f} %" in bars
@@ -191,7 +191,7 @@ def alone() -> Replay:
     ]))  # fmt: skip
 
 
-def test_a_dive_without_a_reference_has_a_page_of_coasting_honesty_and_belief(alone: Replay, tmp_path: Path) -> None:
+def test_a_dive_without_a_reference_has_a_page_of_outage_honesty_and_belief(alone: Replay, tmp_path: Path) -> None:
     document, report, data = saved(alone, tmp_path / "alone")
     first, titles = pictures(document)
     assert len(first) == 2
@@ -201,7 +201,7 @@ def test_a_dive_without_a_reference_has_a_page_of_coasting_honesty_and_belief(al
     assert data.decode().count(NO_REFERENCE) == 1
     assert NO_REFERENCE.lower() not in report.filters["aided"].verdict.lower()
     (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelieved"))
-    assert "mean / coasting 30 s" in bars
+    assert "mean / DVL outage 30 s" in bars
     assert glance_table(report).rows[0][0] in document.texts["td"]
     assert report.tables.drift == report.tables.track_fit == []
 

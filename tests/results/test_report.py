@@ -55,7 +55,7 @@ HEADERS = {
     "evidence": (
         "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,word,p,why"
     ),
-    "coasting": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
+    "outage": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
     "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
     "drift": "log,filter,quantity,unit,samples,p50,p95,rms,worst,worst_from_s,worst_to_s,"
     "final,distance_m,final_of_distance_pct",
@@ -131,7 +131,7 @@ def test_report_from_before_there_were_these_columns_is_still_read() -> None:
     assert "Consistency" in as_markdown(dive_document(early))
     assert "Innovations" not in as_markdown(dive_document(early))
     assert NO_REFERENCE not in as_markdown(dive_document(early))
-    assert b"velocity consistent; acceleration over-confident," in summary_csv([early])
+    assert b"velocity consistent; acceleration overconfident," in summary_csv([early])
 
 
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
@@ -152,7 +152,7 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
         "accelerometer bias, z",
         "deg/h",
         "75.0 %",
-        "over-confident",
+        "overconfident",
         "not in reference",
         "accel. bias, x",
         "correlated",
@@ -178,10 +178,10 @@ def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
 
 def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
     judged = report()
-    aided = msgspec.structs.replace(judged.filters["aided"], improvement="not judged")
+    aided = msgspec.structs.replace(judged.filters["aided"], improvement="not evaluated")
     unjudged = msgspec.structs.replace(judged, filters={"aided": aided})
-    assert glance_table(unjudged).rows[0][:5] == ("aided", "not judged", "-", "-", "-")
-    assert heading(unjudged).endswith("aided: NOT JUDGED")
+    assert glance_table(unjudged).rows[0][:5] == ("aided", "not evaluated", "-", "-", "-")
+    assert heading(unjudged).endswith("aided: NOT EVALUATED")
     assert (len(closing_lines(judged)), len(closing_lines(unjudged))) == (1, 0)
 
 
@@ -212,16 +212,16 @@ def test_headline_has_a_line_for_each_filter_with_what_is_known() -> None:
     [alone] = headline_table(report(used=unreferenced(tables())))
     assert alone.header == ("this run", "30 s without DVL")
     assert alone.rows == (("baseline", "0.5 m"), ("aided", "0.4 m"))
-    assert not list(headline_table(report(used=replace(unreferenced(tables()), coasting=[]))))
+    assert not list(headline_table(report(used=replace(unreferenced(tables()), outage=[]))))
 
 
 def test_headline_gives_the_drift_after_60_and_120_s_where_there_are_such_windows() -> None:
-    row = tables().coasting[0]
+    row = tables().outage[0]
     rows = [
         replace(row, window_s=f"{window_s}", windows=windows, drift_median_m=window_s / 7.0)
         for window_s, windows in ((30, 9), (60, 4), (120, 2), (300, 0))
     ]
-    [table] = headline_table(report(used=replace(tables(), coasting=rows)))
+    [table] = headline_table(report(used=replace(tables(), outage=rows)))
     assert table.header[-2:] == ("60 s without DVL", "120 s")
     assert [cells[-2:] for cells in table.rows] == [("8.57 m", "17.1 m"), ("-", "-")]
 
@@ -246,7 +246,7 @@ def test_a_word_without_a_vote_stands_in_brackets(quantity: str, shown: str) -> 
     row = replace(tables().evidence[0], quantity=quantity, word="undecided")
     assert word_in_table(row) == shown
     assert f"| {shown} |" in as_markdown(dive_document(replace(report(), tables=replace(tables(), evidence=[row]))))
-    assert not word_in_table(replace(row, word="")), "what is not judged has no word"
+    assert not word_in_table(replace(row, word="")), "what is not evaluated has no word"
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
@@ -283,14 +283,14 @@ def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
     ]
     assert (rows[0]["position_h_baseline_rmse_m"], rows[0]["position_h_rmse_m"]) == ("1.25", "1.5")
     found = [word.split()[1] for word in rows[0]["verdicts"].split("; ")]
-    assert found == ["consistent", "over-confident", "over-confident"]
+    assert found == ["consistent", "overconfident", "overconfident"]
     assert rows[1]["reason"] == "two.mcap: is empty"
 
 
-def test_run_log_does_not_call_rejected_what_was_withheld() -> None:
+def test_run_log_does_not_call_rejected_what_was_held_out() -> None:
     made = report()
-    withheld = replace(made.tables.consistency[0], measurement="withheld_heading", used=0, rejected=2120)
-    text = run_log(replace(made, tables=replace(made.tables, consistency=[*made.tables.consistency, withheld])))
+    held_out = replace(made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120)
+    text = run_log(replace(made, tables=replace(made.tables, consistency=[*made.tables.consistency, held_out])))
     assert re.search(r"filter baseline: 424 velocity .*\b0 ", text)
     assert re.search(r"filter baseline: 2120 .*heading", text)
     assert "2120 rejected" not in text

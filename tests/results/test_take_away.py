@@ -294,9 +294,9 @@ def test_settings_are_taken_as_a_mapping_or_as_on_the_command_line() -> None:
     assert load_config(settings={"dvl.scale": 1.5}) == load_config(settings=["dvl.scale=1.5"])
     assert load_config(preset="fog") != load_config()
     arm = np.array([0.5, 0.0, -0.25])
-    config = load_config(settings={"dvl.lever_arm_m": arm, "dvl.scale": arm[0], "evaluation.withheld": ("depth",)})
+    config = load_config(settings={"dvl.lever_arm_m": arm, "dvl.scale": arm[0], "evaluation.held_out": ("depth",)})
     assert config == load_config(
-        settings=["dvl.lever_arm_m=[0.5, 0, -0.25]", "dvl.scale=0.5", 'evaluation.withheld=["depth"]']
+        settings=["dvl.lever_arm_m=[0.5, 0, -0.25]", "dvl.scale=0.5", 'evaluation.held_out=["depth"]']
     )
     assert load_config(settings={"dvl.topic": "a\"'="}).dvl.topic == "a\"'="
     with pytest.raises(UserError, match=r"dvl\.topic: None"):

@@ -161,10 +161,10 @@ def test_ratios_and_improvements_are_those_of_the_last_ping() -> None:
     [
         (12.0, 100, "consistent"),
         (13.1, 100, "consistent"),  # significant, but too small to matter
-        (13.5, 100, "over-confident"),
+        (13.5, 100, "overconfident"),
         (13.5, 10, "consistent"),  # large, but not significant
-        (10.5, 100, "over-cautious"),
-        (30.0, 5, "too few"),
+        (10.5, 100, "conservative"),
+        (30.0, 5, "insufficient data"),
         (np.nan, 100, "not finite"),
     ],
 )
@@ -228,9 +228,9 @@ def verdicts() -> pd.DataFrame:
 def test_verdict_changes_with_the_data_and_not_with_the_filters_name(verdicts: pd.DataFrame) -> None:
     assert verdicts["verdict"].to_dict() == {
         ("told", "baseline"): "consistent",
-        ("told", "published"): "over-confident",
-        ("better", "baseline"): "over-cautious",
-        ("better", "aided"): "over-cautious",
+        ("told", "published"): "overconfident",
+        ("better", "baseline"): "conservative",
+        ("better", "aided"): "conservative",
     }
 
 

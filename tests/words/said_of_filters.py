@@ -1,4 +1,4 @@
-"""What is said of filters: verdicts, filters that are not judged, and what their gates reject."""
+"""What is said of filters: verdicts, filters that are not evaluated, and what their gates reject."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -14,15 +14,15 @@ from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.preparation.gaps import outage_notes
 
 UNSOUND = {"aided": "aided rejected 209 of 300"}
-CAUTIOUS = {"of_aided": "over-cautious", "of_baseline": "over-cautious"}
-CONFIDENT = {"of_aided": "over-confident"}
+CAUTIOUS = {"of_aided": "conservative", "of_baseline": "conservative"}
+CONFIDENT = {"of_aided": "overconfident"}
 JUDGED: tuple[tuple[tuple[Any, ...], dict[str, Any]], ...] = (
     ((["better"],), {}),
     ((["better"], 40.0, (0.6, 0.5, 0.7)), {"honesty": "better"}),
     ((["better"],), {"honesty": "worse"}),
     ((["better"], -30.0), {}),
-    ((["better"],), {"kind": "coasting"}),
-    ((["better"],), {"kind": "coasting", "samples": 0}),
+    ((["better"],), {"kind": "outage"}),
+    ((["better"],), {"kind": "outage", "samples": 0}),
     ((["better"],), {"independent": False}),
     ((["worse"], 40.0, (1.75, 1.5, 2.0)), {"honesty": "worse", **CONFIDENT}),
     ((["worse"],), {"honesty": "better"}),
@@ -31,20 +31,20 @@ JUDGED: tuple[tuple[tuple[Any, ...], dict[str, Any]], ...] = (
     ((["equivalent", "undecided", "equivalent", "undecided"],), {}),
     ((["undecided", "equivalent"],), {}),
     (([],), {}),
-    ((["better"],), {"unsound": UNSOUND, "of_baseline": "over-confident"}),
-    ((["better"],), {"unsound": {"baseline": "baseline rejected 209 of 300"}, "of_baseline": "over-confident"}),
-    ((["undecided"],), {"errors_of_aided": "over-confident"}),
-    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "too few"}),
+    ((["better"],), {"unsound": UNSOUND, "of_baseline": "overconfident"}),
+    ((["better"],), {"unsound": {"baseline": "baseline rejected 209 of 300"}, "of_baseline": "overconfident"}),
+    ((["undecided"],), {"errors_of_aided": "overconfident"}),
+    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "insufficient data"}),
     ((["undecided"],), {**CONFIDENT, "errors_of_aided": "no reference"}),
-    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "over-confident"}),
-    ((["undecided"],), {"of_aided": "too few", "errors_of_aided": "over-confident"}),
-    ((["undecided"],), {**CAUTIOUS, "errors_of_aided": "too few", "errors_of_baseline": "too few"}),
-    ((["undecided"],), {**CAUTIOUS, "errors_of_aided": "over-confident", "errors_of_baseline": "too few"}),
+    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "overconfident"}),
+    ((["undecided"],), {"of_aided": "insufficient data", "errors_of_aided": "overconfident"}),
+    ((["undecided"],), {**CAUTIOUS, "errors_of_aided": "insufficient data", "errors_of_baseline": "insufficient data"}),
+    ((["undecided"],), {**CAUTIOUS, "errors_of_aided": "overconfident", "errors_of_baseline": "insufficient data"}),
 )
 
 
 def said_of_filters(_: Path) -> Cases:
-    """Return the sentences of candidates, and of filters that are not judged."""
+    """Return the sentences of candidates, and of filters that are not evaluated."""
     for positional, named in JUDGED:
         yield f"{positional} {named or ''}".rstrip(), judged(*positional, **named).verdict
     many = history("many", np.full(100, 3.0), np.arange(100) >= 11)
@@ -52,7 +52,7 @@ def said_of_filters(_: Path) -> Cases:
     lost = replace(lost, innovations=(replace(lost.innovations[0], gate=25.9, reopened=np.arange(300) < 4),))
     broken = replace(history("broken", np.full(100, 3.0)), velocity_n=np.array([[0.0, np.nan, 0.0]]))
     blind = replace(history("blind", np.full(100, 3.0)), sd=np.full((1, 12), np.nan))
-    yield "filters that are not judged", "\n".join(diverged_filters((many, lost, broken, blind)).values())
+    yield "filters that are not evaluated", "\n".join(diverged_filters((many, lost, broken, blind)).values())
     yield "gates that reject much", noted(update_notes((many,)))
     for name, pings_s in (
         ("one long outage", [*range(1, 300), *range(601, 2000)]),

@@ -103,7 +103,7 @@ def said_of_gates(folder: Path) -> Cases:
 
 
 def of_cells() -> Cases:
-    unjudged, lost, empty = stored(improvement="not judged"), stored(), stored()
+    unjudged, lost, empty = stored(improvement="not evaluated"), stored(), stored()
     part, less, without_dof = stored(), stored(), stored()
     part.tables["reference_error"][0]["status"] = "partly covered"
     empty.tables["improvement"][0]["sd"] = None
@@ -122,7 +122,7 @@ def of_cells() -> Cases:
         ("too large", {"max": 1.0}, stored(bg_z_sd=1.5), None),
         ("too small", {"min": 1.2, "row": "ba_x"}, stored(), None),
         ("another word", {"column": "status", "equals": ["same", "worse"], "row": "ba_x"}, stored(), None),
-        ("of a filter that is not judged", {"max": 1.0, "row": "ba_x"}, unjudged, None),
+        ("of a filter that is not evaluated", {"max": 1.0, "row": "ba_x"}, unjudged, None),
         ("of a part of the reference", {**errors, "row": "roll"}, part, None),
         ("empty", {"max": 1.0, "row": "ba_x"}, empty, None),
         ("a row that is not there", {**errors, "row": "rol"}, stored(), None),

@@ -63,7 +63,7 @@ def of_comparisons(folder: Path) -> Cases:
         "worse": content(rmse=0.44),
         "better": content(rmse=0.2),
         "lost": content(rmse=None),
-        "overconfident": content(verdict="over-confident"),
+        "overconfident": content(verdict="overconfident"),
         "stranger": content(filter="tuned"),
         "study": {"kind": "window", "tool": {"version": "0.1.0"}},
         "future": {"tool": {"version": "9.0"}, "log": {"title": "dive"}, "tables": {}},
@@ -97,7 +97,7 @@ def of_comparisons(folder: Path) -> Cases:
 def of_verdicts(folder: Path) -> Cases:
     """Return what is said first of two sets, and in brief."""
     for name, words in {"one": "worse", "two": "worse", "three": "better"}.items():
-        write(folder / "before" / name, content(name, improvement="better", belief="borne out"))
+        write(folder / "before" / name, content(name, improvement="better", belief="confirmed"))
         new = content(name, improvement=words, belief="undecided", rmse=0.5, window=5, sha256=f"another {name}")
         new["config"] |= {f"key{number}": number for number in range(20)}
         write(folder / "after" / name, new)
@@ -119,8 +119,8 @@ def of_reports() -> Cases:
         "\n".join(line for line in as_markdown(dive_document(report(used=told))).splitlines() if "In spite of" in line),
     )
     yield "the run's log", run_log(made)
-    withheld = replace(made.tables.consistency[0], measurement="withheld_heading", used=0, rejected=2120)
-    apart = replace(made, tables=replace(made.tables, consistency=[withheld]))
+    held_out = replace(made.tables.consistency[0], measurement="held_out_heading", used=0, rejected=2120)
+    apart = replace(made, tables=replace(made.tables, consistency=[held_out]))
     yield "the run's log of a sensor that is held out", "\n".join(run_log(apart).splitlines()[-6:])
     yield "the track's fit", "\n".join(track_fit_line(made))
     lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)

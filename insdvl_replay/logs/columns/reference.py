@@ -298,7 +298,7 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
     cov, wrong = _covariances(table, completed, part, order, rows)
     if wrong:
         text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
-        hint = "whoever writes them can tell; without them the solution is not judged honest or not"
+        hint = "whoever writes them can tell; without them the solution is not evaluated honest or not"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
     return SolutionColumns(motion, way_n, part.time_ns[rows], cov), notes
 
