@@ -1,7 +1,7 @@
-"""Logs: the only room that knows MCAP, and the bags and messages of ROS.
+"""Logs: the only folder that knows MCAP, and the bags and messages of ROS.
 
-`container` finds the messages in a file as blocks of bytes, `encoding` takes the fields out of their bytes, and
-`columns` makes of them the clean columns of the roles; `read` joins the three. `write` goes the other way.
+`formats` finds the messages of a file as blocks of bytes and takes the fields out of them. `columns` makes clean
+columns of the fields, for each role. `read` joins the two. `write` goes the other way.
 """
 
 from insdvl_replay.logs.formats.recording import name_giver

@@ -231,6 +231,8 @@ def test_filters_are_paired_by_window() -> None:
     assert sorted(after / before) == pytest.approx([0.8] * (len(before) - 1) + [2.0])
     row, expected = rows_of(coasts)["aided", "30"], windows_ratio(before, after)
     assert [row.ratio_to_baseline, row.ratio_low, row.ratio_high] == [expected.ratio, expected.low, expected.high]
+    assert row.ratio_to_baseline == pytest.approx(np.sqrt(np.sum(after**2) / np.sum(before**2)))
+    assert 0.7 < row.ratio_low < 0.8 < row.ratio_high < 1.0
     assert row.windows_won_pct == pytest.approx(90.0)
 
 
