@@ -94,6 +94,15 @@ def test_private_records_take_no_memory_of_their_own(tmp_path: Path) -> None:
     assert peak_mb(lambda: open_recording(path, allow_damaged=True)) < len(content) / MB + 30
 
 
+def test_a_file_opens_to_no_more_than_its_size_allows(tmp_path: Path) -> None:
+    zeros = zstd_zeros(64 * MB)
+    path = write(tmp_path / "many.mcap", log(chunk(zeros, 64 * MB, "zstd") * 17))
+    with pytest.raises(
+        LogError, match=r"the chunks up to here open to 1140850688 bytes, where a file of \d+ may hold 1073741824"
+    ):
+        open_recording(path)
+
+
 def test_a_chunk_without_a_record_is_opened_once(tmp_path: Path) -> None:
     path = write(tmp_path / "zeros.mcap", log(chunk(zstd_zeros(4 * MB), 4 * MB, "zstd")))
     seen = open_recording(path, allow_damaged=True)

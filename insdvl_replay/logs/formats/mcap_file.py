@@ -26,6 +26,7 @@ from insdvl_replay.core.errors import Note, listed
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
+    LARGEST_CHUNK,
     Block,
     Damage,
     DamageError,
@@ -36,6 +37,7 @@ from insdvl_replay.logs.formats.log_file import (
     UnusableFileError,
     damage_note,
     gather,
+    most_opened,
     opened,
 )
 from insdvl_replay.logs.formats.records import (
@@ -120,6 +122,7 @@ class McapFile(LogFile):
         end = self._end()
         with self.watched():
             self._walk(end)
+            self._limit_size()
             self._check_summary(end)
             self._look_into_chunks()
         header = self._header or records.Header("", "")
@@ -305,6 +308,19 @@ class McapFile(LogFile):
             self._damage(start, "the summary names a chunk where none is found")
         for start in starts - self.chunk_indexes.keys() if self.chunk_indexes else ():
             self._damage(start, "a chunk is here that the summary does not name")
+
+    def _limit_size(self) -> None:
+        """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
+        most, total, kept = most_opened(len(self.file), LARGEST_CHUNK), 0, []
+        for chunk in self._chunks:
+            total += chunk.header.size if chunk.header else 0
+            if total > most:
+                what = f"the chunks up to here open to {total} bytes, where a file of {len(self.file)} may hold {most}"
+                self._damage(chunk.start, what)
+                self.lost.append(chunk)
+            else:
+                kept.append(chunk)
+        self._chunks = kept
 
     def _look_into_chunks(self) -> None:
         """Open the chunks of which it is not known what is in them, for definitions and counts."""

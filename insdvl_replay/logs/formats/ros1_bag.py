@@ -38,6 +38,9 @@ _WORD: Final = np.dtype("<u4")
 _ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])  # of the index of a chunk
 _COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])  # of what the end of the bag says of a chunk
 # Of each message of a chunk: where its record and its payload start, and how long this is.
+_SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
+_USUALLY_OPENED: Final = 1 << 27  # bytes
+_MOST_COMPRESSED: Final = 64  # bags that open to more than usual are no more densely compressed
 _FOUND: Final = np.dtype([(name, np.int64) for name in ("connection", "time_ns", "place", "start", "size")])
 Messages = NDArray[np.void]  # of _FOUND
 Read = Callable[[int, int], memoryview]  # the bytes from a place to another
@@ -144,8 +147,14 @@ class BagFile(LogFile):
         for record in found[_CONNECTION]:
             with self.collected():
                 self._take_connection(record, self.file.read(record.start, record.end))
+        most, total = max(_USUALLY_OPENED, _MOST_COMPRESSED * len(self.file)), 0
         for chunk in found[_CHUNK]:
             with self.collected():
+                size = chunk.number(b"size", 4)
+                total += size
+                if total > most >= size:  # a chunk that is larger by itself is refused where it is opened
+                    limit = f"where a bag of {len(self.file)} may hold {most}"
+                    raise DamageError(chunk.offset, f"the chunks up to here open to {total} bytes, {limit}")
                 self._chunks[chunk.offset] = chunk, self._messages_of(chunk, indexes[chunk.offset])
         for info in found[_CHUNK_INFO] if self.has_summary else ():
             with self.collected():
@@ -252,8 +261,9 @@ def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         size = int.from_bytes(buffer[place : place + 4], "little")
         start = place + 8 + size
         behind = start + int.from_bytes(buffer[start - 4 : start], "little")
-        if size > _LONGEST_HEADER or start > end or behind > end:
-            _record_at(lambda first, last: buffer[first:last], place, end)  # raises
+        if not _SHORTEST_HEADER <= size <= _LONGEST_HEADER or start > end or behind > end:
+            _record_at(lambda first, last: buffer[first:last], place, end)
+            raise DamageError(place, f"a record says its header has {size} bytes")
         bounds.extend((place, start, behind))
         place = behind
     places, starts, ends = np.array(bounds, np.int64).reshape(-1, 3).T
