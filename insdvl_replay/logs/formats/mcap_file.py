@@ -313,7 +313,8 @@ class McapFile(LogFile):
         """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
         most, total, kept = most_opened(len(self.file), LARGEST_CHUNK), 0, []
         for chunk in self._chunks:
-            total += chunk.header.size if chunk.header else 0
+            size = chunk.header.size if chunk.header else 0
+            total += size if size <= most else 0  # a larger one is refused where it is opened
             if total > most:
                 what = f"the chunks up to here open to {total} bytes, where a file of {len(self.file)} may hold {most}"
                 self._damage(chunk.start, what)

@@ -151,8 +151,8 @@ class BagFile(LogFile):
         for chunk in found[_CHUNK]:
             with self.collected():
                 size = chunk.number(b"size", 4)
-                total += size
-                if total > most >= size:  # a chunk that is larger by itself is refused where it is opened
+                total += size if size <= most else 0  # a larger one is refused where it is opened
+                if total > most:
                     limit = f"where a bag of {len(self.file)} may hold {most}"
                     raise DamageError(chunk.offset, f"the chunks up to here open to {total} bytes, {limit}")
                 self._chunks[chunk.offset] = chunk, self._messages_of(chunk, indexes[chunk.offset])
