@@ -183,6 +183,8 @@ def replay_jobs(
                 after_dive(outcome)
                 done[finished.target] = outcome
             yield done.pop(job.target)
+        for _ in replays:  # nothing more comes, and workers end by themselves
+            pass
 
 
 def _for_elsewhere(job: ReplayJob) -> ReplayJob:

@@ -11,11 +11,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from functools import partial
 from typing import Any, Final, TypeVar
 
@@ -49,11 +50,13 @@ def do_each(
             yield place, _outcome(partial(work, item))
         return
     suspects = {}
-    for place, outcome in _pass(work, dict(enumerate(items)), partial(pool, False)):
-        if isinstance(outcome, WorkerLostError):
-            suspects[place] = items[place]
-        else:
-            yield place, outcome
+    # Closed here: an interruption while a finaliser ends the workers would be swallowed.
+    with closing(_pass(work, dict(enumerate(items)), partial(pool, False))) as passed:
+        for place, outcome in passed:
+            if isinstance(outcome, WorkerLostError):
+                suspects[place] = items[place]
+            else:
+                yield place, outcome
     yield from _pass(work, suspects, partial(pool, True))
 
 
@@ -61,7 +64,7 @@ def _pass(
     work: Callable[[Item], Result],
     items: Mapping[int, Item],
     open_pool: Callable[[], AbstractContextManager[tuple[Submit, int]]],
-) -> Iterator[tuple[int, Result | Exception]]:
+) -> Generator[tuple[int, Result | Exception], None, None]:
     """Go through the items, with fresh workers after every loss."""
     waiting = deque(items.items())
     while waiting:
@@ -90,7 +93,8 @@ def _outcome(result: Callable[[], Result]) -> Result | Exception:
         if isinstance(error, BrokenExecutor | CancelledError) or type(error).__name__ == "KilledWorker":
             return WorkerLostError(
                 f"its worker died, and died again with nothing else to do: {error}",
-                "a machine that runs out of memory kills, and code in the settings may: try it alone, with --jobs 1",
+                "a machine that runs out of memory kills, and code in the settings may: "
+                "try it with more memory, or without that code",
             )
         # Else it would keep all that was read of its dive for as long as somebody keeps the error.
         traceback.clear_frames(error.__traceback__)
@@ -117,8 +121,15 @@ def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int]]:
         ours = set(multiprocessing.active_children()) - before
         for process in ours:
             process.terminate()
-        for process in ours:
-            process.join(_ENDED_WITHIN_S)
+        try:
+            latest_s = time.monotonic() + _ENDED_WITHIN_S
+            for process in ours:
+                process.join(max(0.0, latest_s - time.monotonic()))
+        finally:  # compiled code may swallow the exit that a worker is asked for
+            for process in ours:
+                if process.is_alive():
+                    process.kill()
+                    process.join()
         executor.shutdown(wait=False, cancel_futures=True)
         raise
 

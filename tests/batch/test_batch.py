@@ -12,8 +12,8 @@ import subprocess
 import sys
 import time
 import weakref
-from collections.abc import Iterator
-from concurrent.futures import BrokenExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -581,6 +581,43 @@ def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: 
     assert first.result.message.startswith(f"{archive / 'dive_1.mcap'}: ")
     assert first.result.message.endswith(": killed")
     assert isinstance(second.result, LogError)
+
+
+def test_workers_end_by_themselves_after_the_last_dive(archive: Path, tmp_path: Path) -> None:
+    ends = []
+
+    def submit(*_: object) -> Future[bytes]:
+        future: Future[bytes] = Future()
+        future.set_exception(LogError("the IMU is dead", "another one"))
+        return future
+
+    @contextmanager
+    def fresh(_alone: bool) -> Iterator[tuple[Submit, int]]:
+        yield submit, 2
+        ends.append("by themselves")
+
+    tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]
+    assert len(list(replay_jobs(tasks, {}, fresh))) == 2
+    assert ends == ["by themselves"]
+
+
+def test_an_interruption_while_workers_are_ended_is_not_swallowed() -> None:
+    def submit(work: Callable[[str], int], item: str) -> Future[int]:
+        future: Future[int] = Future()
+        future.set_result(work(item))
+        return future
+
+    @contextmanager
+    def interrupted(_alone: bool) -> Iterator[tuple[Submit, int]]:
+        try:
+            yield submit, 1
+        except GeneratorExit:
+            raise KeyboardInterrupt from None
+
+    outcomes = do_each(int, ["1", "2"], interrupted)
+    assert next(outcomes) == (0, 1)
+    with pytest.raises(KeyboardInterrupt):
+        outcomes.close()
 
 
 def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
