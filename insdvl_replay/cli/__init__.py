@@ -25,6 +25,7 @@ def main() -> NoReturn:
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: PTH123, SIM115
     code = run_command_line(sys.argv[1:])
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # it leaves already, with the code that it has
     try:
         if code == INTERRUPTED:
             print("error: interrupted", file=sys.stderr)

@@ -56,7 +56,8 @@ def log_failure(error: Exception, verbosity: int) -> int:
     """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose."""
     if verbosity >= 2:
         trace = "".join(traceback.format_exception(error))
-        print(without_commands(visible_lines(trace)), end="", file=sys.stderr)
+        with suppress(OSError):
+            print(without_commands(visible_lines(trace)), end="", file=sys.stderr, flush=True)
     code, message, hint = _explained(error)
     log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code

@@ -395,3 +395,10 @@ def test_streams_that_are_full_or_closed_end_the_printing_but_not_the_work(
     assert (done.stderr.splitlines() or [""])[-1].startswith(reason)
     assert bool(done.stdout) == redirection.startswith("2>")
     assert (tmp_path / "lost_beam").exists() == command.startswith("run")
+
+
+def test_a_trace_that_nobody_can_read_does_not_change_the_exit_code(tmp_path: Path) -> None:
+    (tmp_path / "text.mcap").write_text("this is no log")
+    words = f"{sys.executable} -m insdvl_replay run text.mcap -vv 2>/dev/full"
+    done = subprocess.run(words, shell=True, cwd=tmp_path, capture_output=True, timeout=60, check=False)
+    assert done.returncode == 3
