@@ -4,6 +4,7 @@ It is written in a hidden folder next to its place, and renamed when it is compl
 """
 
 import hashlib
+import os
 import shutil
 import tempfile
 import time
@@ -40,6 +41,8 @@ _MOST_BYTES: Final = 1 << 30
 _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
 _MARK: Final = "insdvl-replay-"
 """In the names of hidden folders, behind a dot."""
+_OLD: Final = "old"
+"""In a hidden folder, what holds an older result, under its own name, while the new one takes its place."""
 _LEFT_FOR_S: Final = 86_400.0
 """A hidden folder that nobody has changed for a day was left by a killed run."""
 _NAME_A_FILE: Final = "give the name of a file"
@@ -117,8 +120,10 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
     """
     require_replaceable_folder(target, force=force)
     with _workspace(target) as workspace:
-        new, old = workspace / "new", workspace / "old"
+        require_replaceable_folder(target, force=force)  # an older result may have been put back
+        new, old = workspace / "new", workspace / _OLD / target.name
         new.mkdir()
+        old.parent.mkdir()
         yield new
         list_files(new)
         require_replaceable_folder(target, force=force)
@@ -127,7 +132,7 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
                 target.rename(old)
             new.rename(target)
         finally:
-            if old.exists() and not target.exists():
+            if os.path.lexists(old) and not os.path.lexists(target):
                 old.rename(target)
 
 
@@ -170,10 +175,25 @@ def _workspace(target: Path) -> Iterator[Path]:
 
 
 def _remove_leftovers(folder: Path) -> None:
+    """Remove what killed runs left; an older result whose place is empty goes back to it."""
     for path in folder.glob(f".{_MARK}*"):
         with suppress(OSError):
-            if time.time() - path.stat().st_mtime > _LEFT_FOR_S:
+            newest_s = max(file.lstat().st_mtime for file in (path, *path.rglob("*")))
+            if time.time() - newest_s > _LEFT_FOR_S and _put_back(path / _OLD, folder):
                 shutil.rmtree(path, ignore_errors=True)
+
+
+def _put_back(old: Path, folder: Path) -> bool:
+    """Put older results back where their places are empty; return whether nothing is left that somebody may miss."""
+    if not old.is_dir():
+        return True
+    results = list(old.iterdir())
+    if not all(result.is_dir() for result in results):  # an early version left one here without its name
+        return False
+    for result in results:
+        if not os.path.lexists(folder / result.name):
+            result.rename(folder / result.name)
+    return True
 
 
 # --- What is there already

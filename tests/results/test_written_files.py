@@ -287,12 +287,62 @@ def test_an_older_result_goes_back_where_a_new_one_cannot_take_its_place(
     assert list(tmp_path.iterdir()) == [target]
 
 
+def aged(folder: Path) -> None:
+    for path in (*folder.rglob("*"), folder):
+        os.utime(path, (0.0, time.time() - 90_000.0))
+
+
 def test_what_a_killed_run_left_is_removed_after_a_day_and_nothing_else(tmp_path: Path) -> None:
     names = {".insdvl-replay-killed", ".insdvl-replay-running", ".dive-backup", ".ssh"}
     for name in names:
         (tmp_path / name).mkdir()
         (tmp_path / name / "notes.txt").write_text("half")
         if not name.endswith("running"):
-            os.utime(tmp_path / name, (0.0, time.time() - 90_000.0))
+            aged(tmp_path / name)
     written(tmp_path / "dive", "new")
     assert {path.name for path in tmp_path.iterdir()} == names - {".insdvl-replay-killed"} | {"dive"}
+
+
+def test_a_run_of_days_that_still_writes_keeps_its_folder(tmp_path: Path) -> None:
+    file = tmp_path / ".insdvl-replay-long" / "new" / "replay.mcap"
+    file.parent.mkdir(parents=True)
+    file.write_text("half")
+    aged(file.parents[1])
+    os.utime(file)
+    written(tmp_path / "dive", "new")
+    assert file.exists()
+
+
+def renamed_then_killed(path: Path, new: Path) -> None:
+    if path.name != "dive" or "old" in path.parts:
+        raise KeyboardInterrupt  # also on the way back: a killed run does not tidy up
+    os.rename(path, new)  # noqa: PTH104
+
+
+@pytest.mark.parametrize("word", ["old", "newer"])
+def test_an_older_result_goes_back_after_a_kill_between_two_renames(
+    word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "dive"
+    written(target, "old")
+    with monkeypatch.context() as killed:
+        killed.setattr(Path, "rename", renamed_then_killed)
+        killed.setattr(shutil, "rmtree", lambda *_, **__: None)
+        with pytest.raises(KeyboardInterrupt):
+            written(target, "new")
+    (hidden,) = tmp_path.iterdir()
+    if word == "newer":  # it was made again in the meantime
+        written(target, "newer")
+    aged(hidden)
+    written(tmp_path / "another", "new")
+    assert f'"{word}"' in (target / COMPLETE).read_text()
+    assert not hidden.exists()
+
+
+def test_an_older_result_without_its_name_is_not_removed(tmp_path: Path) -> None:
+    old = tmp_path / ".insdvl-replay-early" / "old"
+    old.mkdir(parents=True)
+    (old / COMPLETE).write_text(OURS % "old")
+    aged(old.parent)
+    written(tmp_path / "dive", "new")
+    assert (old / COMPLETE).exists()
