@@ -38,6 +38,7 @@ _WORD: Final = np.dtype("<u4")
 _ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])  # of the index of a chunk
 _COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])  # of what the end of the bag says of a chunk
 # Of each message of a chunk: where its record and its payload start, and how long this is.
+_MOST_OTHERS: Final = 1 << 16  # records of a chunk that are no messages: connections
 _SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
 _USUALLY_OPENED: Final = 1 << 27  # bytes
 _MOST_COMPRESSED: Final = 64  # bags that open to more than usual are no more densely compressed
@@ -151,10 +152,13 @@ class BagFile(LogFile):
         for chunk in found[_CHUNK]:
             with self.collected():
                 size = chunk.number(b"size", 4)
-                total += size if size <= most else 0  # a larger one is refused where it is opened
-                if total > most:
+                opens_to, what = size, "a chunk says it opens"
+                if size <= most:
+                    total += size
+                    opens_to, what = total, "the chunks up to here open"
+                if opens_to > most:
                     limit = f"where a bag of {len(self.file)} may hold {most}"
-                    raise DamageError(chunk.offset, f"the chunks up to here open to {total} bytes, {limit}")
+                    raise DamageError(chunk.offset, f"{what} to {opens_to} bytes, {limit}")
                 self._chunks[chunk.offset] = chunk, self._messages_of(chunk, indexes[chunk.offset])
         for info in found[_CHUNK_INFO] if self.has_summary else ():
             with self.collected():
@@ -276,6 +280,8 @@ def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         record = _record_at(lambda first, last: buffer[first:last], int(places[row]), end)
         if record.kind != _MESSAGE:
             others.append(record)
+            if len(others) > _MOST_OTHERS:
+                raise DamageError(int(places[row]), f"more than {_MOST_OTHERS} records of a chunk are no messages")
             continue
         nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
         found["connection"][row], found["time_ns"][row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec
