@@ -68,11 +68,8 @@ def montecarlo(
       insdvl-replay study montecarlo straight --imu fog --preset fog --runs 200
       insdvl-replay study montecarlo straight --run 17
     """
-    from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.results.folder import result_folder
-    from insdvl_replay.show.render import save_result
     from insdvl_replay.studies.montecarlo import repeat_run, study_montecarlo
 
     resolved, target = load_config(preset, config, settings), output / f"montecarlo-{scenario}"
@@ -93,10 +90,7 @@ def montecarlo(
             jobs=jobs,
             after_run=after_run,
         )
-    with result_folder(target, force=force) as folder:
-        save_result(report, folder, png=png)
-    _print(report, format_)
-    log_to_stderr(f"wrote {target}")
+    _keep(report, target, format_, verbose=verbose > 0, force=force, png=png)
 
 
 @study.command(cls=opt.PlainCommand)
@@ -130,12 +124,10 @@ def window(
       insdvl-replay study window dive.mcap --longest 20
     """
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.cli.messages import log_notes, log_to_stderr
+    from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.cli.screen import spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import LogError
-    from insdvl_replay.results.folder import result_folder
-    from insdvl_replay.show.render import save_result
     from insdvl_replay.studies.window import LEFT_OUT, study_window
 
     given = [*settings, *opt.span_settings(start, end)]
@@ -144,11 +136,7 @@ def window(
     _require(target, force=force, png=png)
     with spinner("comparing accelerations"):
         report = study_window(dives, resolved, longest, jobs=jobs)
-    with result_folder(target, force=force) as folder:
-        save_result(report, folder, png=png)
-    _print(report, format_)
-    log_notes(report.notes, verbose=verbose > 0)
-    log_to_stderr(f"wrote {target}")
+    _keep(report, target, format_, verbose=verbose > 0, force=force, png=png)
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
     if left_out:
         log_to_stderr(f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}")
@@ -181,12 +169,9 @@ def observability(
       insdvl-replay study observability straight --no-earth-rate
       insdvl-replay study observability dive.mcap --start 60 --end 180
     """
-    from insdvl_replay.cli.messages import log_notes, log_to_stderr
     from insdvl_replay.cli.screen import compiling, spinner
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.dive_record import dive_name
-    from insdvl_replay.results.folder import result_folder
-    from insdvl_replay.show.render import save_result
     from insdvl_replay.studies.observability import study_observability
 
     resolved = load_config(preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True).without_code()
@@ -194,11 +179,7 @@ def observability(
     _require(target, force=force, png=png)
     with spinner(f"stacking the measurements{compiling()}"):
         report = study_observability(dive, resolved, earth_rate=not no_earth_rate)
-    with result_folder(target, force=force) as folder:
-        save_result(report, folder, png=png)
-    _print(report, format_)
-    log_notes(report.notes, verbose=verbose > 0)
-    log_to_stderr(f"wrote {target}")
+    _keep(report, target, format_, verbose=verbose > 0, force=force, png=png)
 
 
 def _require(target: Path, *, force: bool, png: bool) -> None:
@@ -209,6 +190,19 @@ def _require(target: Path, *, force: bool, png: bool) -> None:
     require_replaceable_folder(target, force=force)
     if png:
         require_matplotlib()
+
+
+def _keep(report: "Result", target: Path, format_: opt.Format, *, verbose: bool, force: bool, png: bool) -> None:
+    """Write the files of a study, print it, and say what was lost and where the files are."""
+    from insdvl_replay.cli.messages import log_notes, log_to_stderr
+    from insdvl_replay.results.folder import result_folder
+    from insdvl_replay.show.render import save_result
+
+    with result_folder(target, force=force) as folder:
+        save_result(report, folder, png=png)
+    _print(report, format_)
+    log_notes(report.notes, verbose=verbose)
+    log_to_stderr(f"wrote {target}")
 
 
 def _print(report: "Result", format_: opt.Format) -> None:

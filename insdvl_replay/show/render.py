@@ -58,7 +58,7 @@ def document(result: Result) -> Document:
     return [
         Title(result.title),
         *sentences,
-        *(Heading("Pictures") for _ in list(result.figures)[:1]),
+        *([Heading("Pictures")] if result.figures else []),
         *result.figures.values(),
         Heading("Tables"),
         *tables,
