@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from small_logs import CONTAINERS, IMU_MESSAGES, MESSAGES, messages, small_log, true_messages
 
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.logs.formats.mcap_file import McapFile
+from insdvl_replay.logs.formats.log_file import Chunk
+from insdvl_replay.logs.formats.mcap_file import McapFile, can_be_record, walk
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.records import Chunk, can_be_record, walk
 
 
 @pytest.fixture

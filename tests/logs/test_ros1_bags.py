@@ -17,7 +17,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.recording import Recording, open_recording
-from insdvl_replay.logs.formats.ros1_bag import _find_messages
+from insdvl_replay.logs.formats.ros1_bag import messages_in
 
 Fields = dict[str, bytes]
 
@@ -142,12 +142,12 @@ def test_headers_of_any_form_are_read_in_time(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     forms = rng.integers(0, 2, 300).astype(bool).tolist()
     content = b"".join(message(i % 3, i, 7, bytes(i % 5), turned=turned) for i, turned in enumerate(forms))
-    found, others = _find_messages(memoryview(content))
+    (connections, time_ns, _, _, sizes), others = messages_in(memoryview(content))
     assert not others
     for number in range(3):
-        one = found[found["connection"] == number]
-        assert (one["time_ns"] // 10**9).tolist() == list(range(number, 300, 3))
-        assert one["size"].tolist() == [i % 5 for i in range(number, 300, 3)]
+        is_own = connections == number
+        assert (time_ns[is_own] // 10**9).tolist() == list(range(number, 300, 3))
+        assert sizes[is_own].tolist() == [i % 5 for i in range(number, 300, 3)]
 
 
 def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive) -> None:

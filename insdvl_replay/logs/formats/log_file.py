@@ -10,7 +10,9 @@ import os
 import stat
 import weakref
 from abc import ABC, abstractmethod
+from collections import Counter, deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -24,7 +26,7 @@ from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
 from insdvl_replay.core.dive_columns import TimeNs, seconds
-from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.errors import LogError, Note, listed
 from insdvl_replay.core.words import Severity
 
 Span = tuple[int, int]  # first and last log time, ns
@@ -153,34 +155,39 @@ def most_opened(compressed_size: int, usual: int = _USUAL_SIZE) -> int:
     return max(usual, _MOST_COMPRESSED * compressed_size)
 
 
-def opened(compressed: memoryview, compression: str, size: int, offset: int, crc: int = 0) -> memoryview:
-    """Decompress a chunk that is at an offset of the file, and check its length and, if it has one, its checksum."""
-    if compression and size > min(most_opened(len(compressed)), LARGEST_CHUNK):
-        raise DamageError(offset, f"a chunk of {len(compressed)} compressed bytes says it opens to {size}")
+def opened(
+    data: memoryview, compression: str, size: int, offset: int, crc: int = 0, *, is_cut: bool = False
+) -> memoryview:
+    """Decompress a chunk that is at an offset of the file, and check its length and, if it has one, its checksum.
+
+    One whose end is missing is opened as far as it goes; some recorders write last of all to how much it opens.
+    """
+    room = min(most_opened(len(data)), LARGEST_CHUNK)
+    if is_cut:
+        size = min(size, room) if size else room
+    elif compression and size > room:
+        raise DamageError(offset, f"a chunk of {len(data)} compressed bytes says it opens to {size}")
     try:
         if compression == "":
-            content = compressed
+            content = data
         elif compression == "zstd":
-            if zstandard.frame_content_size(compressed) not in (-1, size):
-                raise DamageError(offset, f"a zstd chunk does not open to the {size} bytes that it announces")
-            content = memoryview(zstandard.ZstdDecompressor().decompress(compressed, max_output_size=size))
+            content = memoryview(zstandard.ZstdDecompressor().stream_reader(data).read(size + 1))
         elif compression == "lz4":
-            decompressor = lz4.frame.LZ4FrameDecompressor()
-            content = memoryview(decompressor.decompress(compressed, max_length=size))
-            if not (decompressor.eof or decompressor.needs_input):
-                raise DamageError(offset, f"a chunk opens to more than {size} bytes")
+            content = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1))
         elif compression == "bz2":
             import bz2
 
-            content = memoryview(bz2.BZ2Decompressor().decompress(compressed, size + 1))
+            content = memoryview(bz2.BZ2Decompressor().decompress(data, size + 1))
         else:
             what = f"a chunk is compressed with '{compression}', which is none of zstd, lz4, bz2 and nothing"
             raise DamageError(offset, what)
     except (zstandard.ZstdError, RuntimeError, OverflowError, OSError) as error:
         raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
-    if len(content) != size:
+    if len(content) > size:
+        raise DamageError(offset, f"a chunk opens to more than {size} bytes")
+    if not is_cut and len(content) < size:
         raise DamageError(offset, f"a chunk opens to {len(content)} bytes where {size} were announced")
-    if crc and zlib_ng.crc32(content) != crc:
+    if not is_cut and crc and zlib_ng.crc32(content) != crc:
         raise DamageError(offset, "the checksum of a chunk is not that of its bytes")
     return content
 
@@ -349,3 +356,230 @@ class LogFile(ABC):
             self.file.require_unchanged()
             raise
         self.file.require_unchanged()
+
+
+# --- Files of chunks.
+
+_AHEAD: Final = 3  # chunks that are opened while the one before is read
+_MOST_OPEN: Final = 256 << 20  # bytes that they open to together, if they are more than one
+_KEPT: Final = 16 << 20  # bytes of chunks that stay open, since samples of many topics are read from the same ones
+_SAMPLED: Final = 2  # chunks with which a sample begins
+_LISTED: Final = 4  # topics that a note lists
+_LONGEST_NS: Final = 10**15  # no recording covers more
+
+Messages = NDArray[np.int64]  # (5, k): channel, log time, publish time, and start and size of the payload
+
+
+@dataclass(eq=False)
+class Chunk:
+    """A part of a file with messages: compressed or not, with indexes behind it, or messages that are in no chunk."""
+
+    start: int
+    end: int
+    is_loose: bool = False  # messages that are in no chunk
+    compression: str = ""
+    data_start: int = 0
+    data_size: int = 0  # bytes of its content as it says itself
+    size: int = 0  # bytes to which it opens
+    crc: int = 0  # of these; 0 where the recorder computed none
+    span_ns: Span = (0, 0)  # as it says itself
+    indexes: list[tuple[int, int]] = field(default_factory=list)  # start and end of each index behind it
+    counts: Counter[int] = field(default_factory=Counter)  # messages by channel, as the indexes or the content say
+    is_indexed: bool = True  # whether the indexes name all messages, as far as is known
+    is_cut: bool = False
+
+    @property
+    def index_end(self) -> int:
+        """Where the last of the indexes ends."""
+        return self.indexes[-1][1] if self.indexes else self.end
+
+
+class Content(NamedTuple):
+    """The messages of an open chunk, in the order of the file."""
+
+    buffer: memoryview
+    messages: Messages
+
+    def counts(self) -> Counter[int]:
+        """Count the messages of each channel."""
+        ids, counts = np.unique(self.messages[0], return_counts=True)
+        return Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
+
+    def blocks(self, channel_ids: Iterable[int]) -> Iterator[Block]:
+        """Give the messages of some channels, channel by channel."""
+        for channel_id in sorted(channel_ids):
+            _, log_ns, publish_ns, starts, sizes = self.messages[:, self.messages[0] == channel_id]
+            if starts.size:
+                yield Block(channel_id, self.buffer, starts, sizes, log_ns, publish_ns)
+
+
+class ChunkedFile(LogFile):
+    """A file whose messages are in chunks: a kind of file says where they are and how messages are found in one."""
+
+    usually_opened: int  # bytes to which a file may open, or more where it is large
+    most_compressed: int
+
+    def __init__(self, file: FileBytes) -> None:
+        super().__init__(file)
+        self._chunks: list[Chunk] = []
+        self._lost: list[Chunk] = []  # that cannot be opened
+        self._passed: list[Span] = []  # start and end of bytes in which no record is found
+        self._missing: list[int] = []  # where chunks were whose places are known
+        self._announced: Counter[int] | None = None  # messages by channel, as the end of the file says
+        self._announced_ns: Span | None = None  # first and last log time, likewise
+        self._is_open_ended = False  # whether the end of the recording is not in the file
+        self._opened: set[int] = set()
+        self._kept: dict[int, Content] = {}
+
+    @abstractmethod
+    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
+        """Find the messages of an open chunk, behind which are its indexes."""
+
+    @abstractmethod
+    def _listed(self, chunk: Chunk) -> Messages | None:
+        """Return channel and log time of the messages of a chunk, (2, k), None where only its content tells."""
+
+    def damage(self, offset: int, found: str) -> None:
+        """Note a damaged place."""
+        self.damages.setdefault(Damage(offset, found))
+
+    def _limit_size(self) -> None:
+        """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
+        most, total = max(self.usually_opened, self.most_compressed * len(self.file)), 0
+        for chunk in list(self._chunks):
+            total += chunk.size if chunk.size <= most else 0  # a larger one is refused where it is opened
+            if total > most:
+                what = f"the chunks up to here open to {total} bytes, where a file of {len(self.file)} may hold {most}"
+                self.damage(chunk.start, what)
+                self._lose(chunk)
+
+    def _lose(self, chunk: Chunk) -> None:
+        self._chunks.remove(chunk)
+        self._lost.append(chunk)
+
+    def _counts(self) -> Counter[int]:
+        """Count the messages of each channel."""
+        return sum((chunk.counts for chunk in self._chunks), Counter[int]())
+
+    def _contents(self, chunks: Iterable[Chunk]) -> Iterator[Content]:
+        """Open chunks, some ahead of who reads them; those that cannot be opened are lost."""
+        left, ahead = deque(chunks), deque[tuple[Chunk, Future[tuple[memoryview, memoryview]]]]()
+        sampled = {chunk.start for chunk in list(left)[:_SAMPLED]}
+        opener = ThreadPoolExecutor(1)
+        try:
+            while left or ahead:
+                while left and len(ahead) <= _AHEAD:
+                    if ahead and sum(chunk.size for chunk, _ in ahead) + left[0].size > _MOST_OPEN:
+                        break
+                    chunk = left.popleft()
+                    if chunk.start in self._kept and not ahead:
+                        yield self._kept[chunk.start]
+                    else:
+                        ahead.append((chunk, opener.submit(self._open, chunk)))
+                if not ahead:
+                    continue
+                chunk, found = ahead.popleft()
+                self._opened.add(chunk.start)
+                try:
+                    buffer, behind = found.result()
+                    content = Content(buffer, self._find_messages(chunk, buffer, behind))
+                except DamageError as error:
+                    self.damages.setdefault(error.damage)
+                    self._lose(chunk)
+                    continue
+                if chunk.start in sampled:
+                    self._kept[chunk.start] = content
+                    while sum(len(kept.buffer) for kept in self._kept.values()) > _KEPT:
+                        del self._kept[next(iter(self._kept))]
+                yield content
+        finally:
+            # Who leaves may be the garbage collector, in the midst of the start of a thread: it must not wait for one.
+            opener.shutdown(wait=False, cancel_futures=True)
+
+    def _open(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
+        """Return the bytes of an open chunk, and those of the indexes behind it."""
+        raw, end = self.file.read(chunk.start, chunk.index_end), chunk.end - chunk.start
+        if chunk.is_loose:
+            return raw, raw[end:]
+        data = raw[chunk.data_start - chunk.start : end]
+        if len(data) != chunk.data_size and not chunk.is_cut:
+            what = f"a chunk says it has {chunk.data_size} compressed bytes; there are {len(data)}"
+            raise DamageError(chunk.start, what)
+        data = opened(data, chunk.compression, chunk.size, chunk.start, chunk.crc, is_cut=chunk.is_cut)
+        return data, raw[end:]
+
+    def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
+        """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
+        for content in self._contents(
+            chunk for chunk in self._chunks if not chunk.counts.keys().isdisjoint(channel_ids)
+        ):
+            yield from content.blocks(channel_ids)
+
+    def _times_by_chunk(self) -> Iterator[tuple[Chunk, dict[int, TimeNs]]]:
+        """Give each chunk with the log times of its messages by channel; it is opened only if nothing else tells."""
+        for chunk in list(self._chunks):
+            found = self._listed(chunk)
+            for channel, log_ns, *_ in (
+                [found] if found is not None else [one.messages for one in self._contents([chunk])]
+            ):
+                yield chunk, {id_: log_ns[channel == id_] for id_ in np.unique(channel).tolist()}
+
+    def log_times(self) -> dict[int, TimeNs]:
+        """Return the log times of all messages by channel, (k,) ns."""
+        parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
+        for _, times in self._times_by_chunk():
+            for channel_id, time_ns in times.items():
+                parts.setdefault(channel_id, []).append(time_ns)
+        return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
+
+    def saved_times(self) -> Iterator[TimeNs]:
+        """Read all that can be read and give the log times, a chunk at a time; ns."""
+        known = [channel.id for channel in self.channels]
+        for _, messages in self._contents(list(self._chunks)):
+            yield messages[1, np.isin(messages[0], known)]
+
+    def check_unopened(self) -> Iterator[None]:
+        """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""
+        for _ in self._contents([chunk for chunk in self._chunks if chunk.crc and chunk.start not in self._opened]):
+            yield
+
+    def _losses(self) -> str:
+        """State how many messages of each topic are lost, for how long it has none, and how many bytes are damaged."""
+        topics = {channel.id: channel.topic for channel in self.channels}
+        bad = {(chunk.start, chunk.end) for chunk in self._lost} | set(self._passed)
+        holes = np.sort(np.array([*(start for start, _ in bad), *self._missing], np.int64))
+        spans = {chunk.span_ns for chunk in [*self._chunks, *self._lost] if not chunk.is_loose}
+        last_ns = max((last for first, last in spans if 0 < first <= last < first + _LONGEST_NS), default=0)
+        first_ns, last_ns = self._announced_ns or (None, last_ns)
+        # A topic is interrupted from its last message before damaged bytes to its first one behind them.
+        found, gap_ns, latest = Counter[str](), Counter[str](), dict[str, tuple[int, int]]()
+        for chunk, times in self._times_by_chunk():
+            holes_before, together = int(np.searchsorted(holes, chunk.start, "right")), dict[str, list[TimeNs]]()
+            for channel_id in times.keys() & topics:
+                together.setdefault(topics[channel_id], []).append(times[channel_id])
+            for topic, parts in together.items():
+                time_ns = np.concatenate(parts)
+                found[topic] += time_ns.size
+                earliest_ns = int(time_ns.min())
+                passed, since_ns = latest.get(topic, (0, earliest_ns if first_ns is None else first_ns))
+                if passed < holes_before:
+                    gap_ns[topic] += max(earliest_ns - since_ns, 0)
+                latest[topic] = holes_before, max(since_ns if topic in latest else 0, int(time_ns.max()))
+        for topic, (passed, since_ns) in latest.items():
+            if passed < holes.size or self._is_open_ended:
+                gap_ns[topic] += max(last_ns - since_ns, 0)
+        counts = self._announced
+        is_exact, is_open = counts is not None, self._is_open_ended and counts is None
+        announced, lost_counts = Counter[str](), sum((chunk.counts for chunk in self._lost), Counter[int]())
+        for channel_id, count in (counts if counts is not None else lost_counts).items():
+            announced[topics.get(channel_id, "unknown channels")] += count
+        lost = (announced - found if is_exact else announced).most_common()
+        least = "" if is_exact else "at least "
+        told = [f"{least}{count} messages of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost]
+        size = sum(end - start for start, end in bad)
+        if not told and (is_exact or not (size or is_open)):
+            told = ["no messages"]
+        longest_s = max(gap_ns.values(), default=0) * 1e-9
+        what = listed(told, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
+        damaged = f", {size} bytes are damaged" if size else ""
+        return f"{what} are lost{damaged}{'; nothing tells how long the recording went on' if is_open else ''}"

@@ -6,12 +6,10 @@ summary at the end must agree with the whole. Source: the MCAP specification, ht
 """
 
 import struct
-from collections import Counter, deque
-from collections.abc import Collection, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections import Counter
 from io import BytesIO
 from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from mcap import records
@@ -21,251 +19,304 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.errors import Note, listed
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
     LARGEST_CHUNK,
-    Block,
+    Chunk,
+    ChunkedFile,
+    Content,
     Damage,
     DamageError,
     Digest,
     FileBytes,
     LogChannel,
-    LogFile,
+    Messages,
     UnusableFileError,
     damage_note,
     gather,
-    most_opened,
-    opened,
-)
-from insdvl_replay.logs.formats.records import (
-    HEADER,
-    HEADER_SIZE,
-    MAGIC,
-    MESSAGE,
-    Chunk,
-    ChunkHeader,
-    can_be_record,
-    next_record,
-    opened_start,
-    parsed,
-    walk,
-    what_is_there,
 )
 
-_ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
+MAGIC: Final = b"\x89MCAP0\r\n"  # first and last bytes
+HEADER_SIZE: Final = 9  # bytes in front of each record's content: its kind and its length
+HEADER: Final = struct.Struct("<BQ")
+# What a record of each kind must at least hold for its own fields; no record is of kind 0.
+_LEAST: Final = (1 << 64, 8, 20, 14, 16, 22, 40, 6, 64, 36, 64, 46, 8, 20, 17, 4)
+_LAST_KNOWN: Final = 15  # kind that the specification knows
+_FIRST_PRIVATE: Final = 128
+MESSAGE: Final = np.dtype(
+    [("opcode", "u1"), ("length", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
+)  # in front of each payload
 _MESSAGE_FIELDS: Final = MESSAGE.itemsize - HEADER_SIZE
+_ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
 _WINDOW, _LARGE_WINDOW = 4 << 10, 1 << 20  # bytes that the walk looks at at a time: among chunks, among messages
-_AHEAD: Final = 3  # chunks that are opened while the one before is read
-_MOST_OPEN: Final = 256 << 20  # bytes that they open to together, if they are more than one
-_KEPT: Final = 16 << 20  # bytes of chunks that stay open, since samples of many topics are read from the same ones
-_SAMPLED: Final = 2  # chunks with which a sample begins
 _END_OF_TIME_NS: Final = 2**63  # times are signed in numpy as in ROS, and unsigned in the format
-_LISTED: Final = 4  # topics that a note lists
-_LONGEST_NS: Final = 10**15  # no recording covers more
+_CUT: Final = "the file ends without the closing bytes; it was cut or is still being written"
 _SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
-_DEFINITIONS: Final[dict[int, Any]] = {Opcode.SCHEMA: records.Schema, Opcode.CHANNEL: records.Channel}
+_RECORDS: Final[dict[int, Any]] = {
+    Opcode.HEADER: records.Header,
+    Opcode.FOOTER: records.Footer,
+    Opcode.SCHEMA: records.Schema,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.CHUNK_INDEX: records.ChunkIndex,
+    Opcode.STATISTICS: records.Statistics,
+    Opcode.METADATA: records.Metadata,
+    Opcode.DATA_END: records.DataEnd,
+}  # those that are read whole
 
 
-class Content(NamedTuple):
-    """The messages of an open chunk, in the order of the file."""
-
-    buffer: memoryview
-    starts: NDArray[np.int64]  # (k,) of their records
-    heads: NDArray[Any]  # (k,) of MESSAGE
-
-    def counts(self) -> Counter[int]:
-        """Count the messages of each channel."""
-        ids, counts = np.unique(self.heads["channel"], return_counts=True)
-        return Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-
-    def blocks(self, channel_ids: Iterable[int]) -> Iterator[Block]:
-        """Give the messages of some channels, channel by channel."""
-        ids = self.heads["channel"].astype(np.int64)
-        for channel_id in sorted(channel_ids):
-            rows = np.flatnonzero(ids == channel_id)
-            if rows.size:
-                heads = self.heads[rows]
-                yield Block(
-                    channel_id,
-                    self.buffer,
-                    self.starts[rows] + MESSAGE.itemsize,
-                    heads["length"] - _MESSAGE_FIELDS,
-                    np.ascontiguousarray(heads["log"]),
-                    np.ascontiguousarray(heads["publish"]),
-                )
+def can_be_record(kind: int, length: int) -> bool:
+    """Return whether a record of a kind can have a length."""
+    return length >= _LEAST[kind] if kind < len(_LEAST) else kind >= _FIRST_PRIVATE
 
 
-class McapFile(LogFile):
+def walk(buffer: memoryview, room: int) -> tuple[NDArray[np.int64], int, int, bool]:
+    """Find the records of a buffer, whose last one may go on behind it, up to `room` bytes.
+
+    Return kind, start and length of the content of each, (k, 3), how many were of kinds that are not MCAP's own, where
+    they end, and whether that is at bytes that are no record. A message before such bytes may have a false length, and
+    is left out.
+    """
+    parts: list[NDArray[np.int64]] = []
+    found: list[tuple[int, int, int]] = []
+    place, others, before, patience, most = 0, 0, (0, 0), 0, 64
+    # The head of each message must be in the buffer.
+    is_broken, last = False, len(buffer) - (HEADER_SIZE if len(buffer) >= room else MESSAGE.itemsize)
+    while place <= last:
+        head = kind, length = HEADER.unpack_from(buffer, place)
+        is_broken = length > room - place - HEADER_SIZE or not can_be_record(kind, length)
+        if is_broken:
+            break
+        size, count = HEADER_SIZE + length, 1
+        if head == before and patience == 0:
+            # Messages of one sensor have one size: those that follow are looked at together.
+            ahead = min((len(buffer) - place) // size, most)
+            if ahead > 1:
+                alike = np.ndarray((ahead,), "<u8", buffer, place + 1, (size,)) == length
+                alike &= np.ndarray((ahead,), np.uint8, buffer, place, (size,)) == kind
+                count = ahead if alike.all() else int(alike.argmin())
+            most = min(max(64, 2 * count), 1 << 14)
+            patience = 0 if count > 8 else 64
+        if kind >= _FIRST_PRIVATE:
+            others += count
+        elif count > 1:
+            run = np.empty((count, 3), np.int64)
+            run[:] = kind, 0, length
+            run[:, 1] = place + size * np.arange(count)
+            parts += [np.array(found, np.int64).reshape(-1, 3), run]
+            found = []
+        else:
+            found.append((kind, place, length))
+        before, patience = head, max(patience - 1, 0)
+        place += size * count
+    records = np.array(found, np.int64).reshape(-1, 3)
+    if parts:
+        records = np.concatenate([*parts, records])
+    is_broken |= len(buffer) >= room and place < room
+    if is_broken and len(records) and records[-1, 0] == Opcode.MESSAGE:
+        records = records[:-1]
+    return records, others, place, is_broken
+
+
+def what_is_there(data: memoryview, room: int) -> str:
+    """State why no record can start where some bytes do, with so many left."""
+    if room < HEADER_SIZE:
+        return f"{room} bytes are left where a record needs at least {HEADER_SIZE}"
+    kind, length = HEADER.unpack_from(data)
+    if length > room - HEADER_SIZE:
+        return f"a record of kind {kind} says it has {length} bytes; {room - HEADER_SIZE} are left"
+    return f"{length} bytes under kind {kind} are no record"
+
+
+def next_record(file: FileBytes, place: int, end: int) -> int:
+    """Return the next place where a record can be with another one, or the end, right behind it."""
+
+    def fits(head: memoryview, place: int) -> int:
+        """Return where a record at a place ends, 0 if none can be there."""
+        if len(head) < HEADER_SIZE:
+            return 0
+        kind, length = HEADER.unpack_from(head)
+        is_known = kind <= _LAST_KNOWN and can_be_record(kind, length)
+        return place + HEADER_SIZE + length if is_known and length <= end - place - HEADER_SIZE else 0
+
+    for start in range(place, end, _LARGE_WINDOW):
+        piece = file.read(start, min(start + _LARGE_WINDOW + HEADER_SIZE - 1, end))
+        data = np.frombuffer(piece, np.uint8)
+        count = max(len(data) - HEADER_SIZE + 1, 0)
+        likely = (data[:count] > 0) & (data[:count] <= _LAST_KNOWN)
+        for byte in (6, 7, 8):  # the highest of a length are zero
+            likely &= data[byte : byte + count] == 0
+        for at in np.flatnonzero(likely).tolist():
+            behind = fits(piece[at : at + HEADER_SIZE], start + at)
+            if behind and (behind == end or fits(file.read(behind, behind + HEADER_SIZE), behind)):
+                return start + at
+    return end
+
+
+class McapFile(ChunkedFile):
     """An MCAP file, open for reading."""
+
+    usually_opened = LARGEST_CHUNK
+    most_compressed = 256
 
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
         self.schemas: dict[int, records.Schema] = {}
         self._channels: dict[int, records.Channel] = {}
-        self._chunks: list[Chunk] = []
-        self.lost: list[Chunk] = []  # that cannot be opened
-        self.passed: list[tuple[int, int]] = []  # start and end of bytes in which no record is found
-        self.statistics: records.Statistics | None = None
-        self.chunk_indexes: dict[int, records.ChunkIndex] = {}
-        self._header: records.Header | None = None
-        self._footer: tuple[int, records.Footer] | None = None  # where it is
-        self._data_end: tuple[int, int] | None = None  # where it is, and the checksum of the bytes before
-        self._private = 0
-        self._kept: dict[int, Content] = {}
-        self._opened: set[int] = set()
-        self._attachments: list[tuple[int, int, int]] = []  # start and length without checksum, and this
         self.metadata: list[records.Metadata] = []
         self.attachments: list[records.AttachmentIndex] = []
+        self._attachments: list[tuple[int, int, int]] = []  # start and length without checksum, and this
+        self._chunk_indexes: dict[int, records.ChunkIndex] = {}
+        self._only: dict[int, tuple[int, Any]] = {}  # where the only record of a kind is, and this
+        self._private = 0
         end = self._end()
         with self.watched():
             self._walk(end)
             self._limit_size()
             self._check_summary(end)
             self._look_into_chunks()
-        header = self._header or records.Header("", "")
+        header = self._record(Opcode.HEADER) or records.Header("", "")
         self.profile, self.library = header.profile, header.library
-        self.has_summary = self.statistics is not None or bool(self.chunk_indexes)
-        headers = [chunk.header for chunk in self._chunks if chunk.header]
-        self.chunk_count = len(headers)
-        self.compression = tuple(sorted({header.compression or "none" for header in headers}))
+        self.has_summary = self._announced is not None or bool(self._chunk_indexes)
+        compressed = [chunk.compression or "none" for chunk in self._chunks if not chunk.is_loose]
+        self.chunk_count, self.compression = len(compressed), tuple(sorted(set(compressed)))
         counts = self._counts()
         self.channels = tuple(
             LogChannel(
                 id=channel.id,
                 topic=channel.topic,
-                type_name=schema.name if schema else "",
+                type_name=schema.name,
                 encoding=channel.message_encoding,
-                schema_encoding=schema.encoding if schema else "",
+                schema_encoding=schema.encoding,
                 messages=counts[channel.id],
-                schema_data=schema.data if schema else b"",
+                schema_data=schema.data,
                 metadata=channel.metadata,
             )
             for channel in self._channels.values()
-            for schema in [self.schemas.get(channel.schema_id)]
+            for schema in [self.schemas.get(channel.schema_id) or records.Schema(id=0, name="", encoding="", data=b"")]
         )
 
     # --- What the file holds.
+
+    def _record(self, kind: int) -> Any:
+        """Return the only record of a kind, None where there is none."""
+        return self._only.get(kind, (0, None))[1]
 
     def _end(self) -> int:
         """Return where the records end, and refuse a file that is no MCAP file."""
         size, magic = len(self.file), len(MAGIC)
         opening, closing = bytes(self.file.read(0, magic + HEADER_SIZE)), bytes(self.file.read(size - magic, size))
+        self._is_closed = size >= 2 * magic and closing == MAGIC
         if opening[:magic] != MAGIC:
             kind, length = HEADER.unpack(opening[magic:].ljust(HEADER_SIZE, b"\0"))
             # It may be that only its opening bytes are damaged.
             if closing != MAGIC and (kind != Opcode.HEADER or length > size or not can_be_record(kind, length)):
                 what = f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
                 raise UnusableFileError(what, "name an .mcap, .db3 or .bag file", self.path)
-            self._damage(0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file")
-        if size < 2 * magic or closing != MAGIC:
-            self._damage(size, "the file ends without the closing bytes; it was cut or is still being written")
-            return size
-        return size - magic
-
-    def _damage(self, offset: int, found: str) -> None:
-        self.damages.setdefault(Damage(offset, found))
+            self.damage(0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file")
+        return size - magic if self._is_closed else size
 
     def _walk(self, end: int) -> None:
         """Go from the first record to the last one."""
-        place, size = len(MAGIC), _WINDOW
+        place, size, last = len(MAGIC), _WINDOW, end
         while place < end:
             window = self.file.read(place, min(place + size, end))
             found, others, stop, is_broken = walk(window, end - place)
             self._private += others
             is_message = found[:, 0] == Opcode.MESSAGE
-            has_messages = bool(is_message.any())
-            edges = [0, *(np.flatnonzero(np.diff(is_message)) + 1).tolist()] if has_messages else [0]
-            for first, behind in pairwise([*edges, len(found)]):
-                if has_messages and is_message[first:behind].any():
-                    self._take_messages(window, place, found[first:behind])
+            edges = [0, *(np.flatnonzero(np.diff(is_message)) + 1).tolist(), len(found)]
+            for first, behind in pairwise(edges if len(found) else ()):
+                if is_message[first]:
+                    ids = gather(window, found[first:behind, 1] + HEADER_SIZE, np.dtype("<u2"))
+                    numbers, counts = (values.tolist() for values in np.unique(ids, return_counts=True))
+                    start, stops = int(found[first, 1]), int(found[behind - 1, 1:].sum()) + HEADER_SIZE
+                    counted = Counter(dict(zip(numbers, counts, strict=True)))
+                    self._chunks.append(Chunk(place + start, place + stops, is_loose=True, counts=counted))
                     continue
                 for kind, start, length in found[first:behind].tolist():
                     with self.collected():
                         self._take(kind, place + start, length, window[start + HEADER_SIZE :])
-            size = _LARGE_WINDOW if has_messages else _WINDOW
-            if is_broken:
-                self._damage(place + stop, what_is_there(window[stop:], end - place - stop))
-                stop = int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0
-                place = self._behind(place + stop, end)
-            else:
+            size = _LARGE_WINDOW if is_message.any() else _WINDOW
+            if not is_broken:
                 place += stop
+                continue
+            what = what_is_there(window[stop:], end - place - stop)
+            broken, place = place + stop, place + (int(found[-1, 1:].sum()) + HEADER_SIZE if len(found) else 0)
+            following = next_record(self.file, place + 1, end)
+            if following == end and not self._is_closed:
+                last = place
+            else:
+                self.damage(broken, what)
+            if following < end or not self._take_cut_chunk(place, end):
+                self._passed.append((place, following))
+            place = following
+        if not self._is_closed:
+            self.damages = {Damage(last, _CUT): None, **self.damages}
 
-    def _behind(self, place: int, end: int) -> int:
-        """Go on behind bytes that are no record; a chunk without its end is the last thing that a recorder wrote."""
-        following = next_record(self.file, place + 1, end)
-        if following == end and self.file.read(place, place + 1) == bytes([Opcode.CHUNK]):
+    def _take_cut_chunk(self, place: int, end: int) -> bool:
+        """Take a chunk without its end, which is the last thing that a recorder wrote; return whether it is one."""
+        if self.file.read(place, place + 1) == bytes([Opcode.CHUNK]):
             with self.collected():
-                header = self._chunk_header(place, end)
-                if header.compression:
-                    self._chunks.append(Chunk(place, end, header, is_cut=True))
-                    return end
-        self.passed.append((place, following))
-        return following
-
-    def _take_messages(self, window: memoryview, place: int, found: NDArray[np.int64]) -> None:
-        ids, counts = np.unique(gather(window, found[:, 1] + HEADER_SIZE, np.dtype("<u2")), return_counts=True)
-        counted = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-        end = place + int(found[-1, 1] + found[-1, 2]) + HEADER_SIZE
-        self._chunks.append(Chunk(place + int(found[0, 1]), end, counts=counted))
+                chunk = self._chunk(place, end)
+                chunk.is_cut = True
+                if chunk.compression:
+                    self._chunks.append(chunk)
+                    return True
+        return False
 
     def _take(self, kind: int, start: int, length: int, content: memoryview) -> None:
         """File a record; of its content as much is given as is in the window."""
         begin, end = start + HEADER_SIZE, start + HEADER_SIZE + length
         if kind == Opcode.CHUNK:
-            self._chunks.append(Chunk(start, end, self._chunk_header(start, end)))
+            self._chunks.append(self._chunk(start, end))
         elif kind == Opcode.MESSAGE_INDEX:
             chunk = self._chunks[-1] if self._chunks else Chunk(0, 0)
-            if chunk.index_end + HEADER_SIZE != begin or chunk.header is None:
+            if chunk.index_end != start or chunk.is_loose:
                 raise DamageError(start, "an index is behind no chunk")
             channel_id, size = struct.unpack_from("<HI", content)
-            chunk.indexes.append((begin, length))
+            chunk.indexes.append((begin, end))
             if size > length - 6 or size % _ENTRY.itemsize or channel_id in chunk.counts:
                 chunk.is_indexed = False
                 raise DamageError(start, f"an index of {length} bytes says it has {size} bytes of channel {channel_id}")
             chunk.counts[channel_id] = size // _ENTRY.itemsize
         elif kind == Opcode.ATTACHMENT:
             self._take_attachment(begin, length)
-        elif kind in _SUMMARY_ONLY and self._data_end is None:
+        elif kind in _SUMMARY_ONLY and Opcode.DATA_END not in self._only:
             raise DamageError(start, f"a record of kind {kind} is among the messages")
-        else:
-            content = content[:length] if len(content) >= length else self.file.read(begin, end)
-            if kind in _DEFINITIONS:
-                self._take_definition(kind, content, start)
-            elif kind == Opcode.HEADER:
-                self._header = parsed(records.Header, content, start)
-            elif kind == Opcode.METADATA:
-                self.metadata.append(parsed(records.Metadata, content, start))
-            elif kind == Opcode.DATA_END:
-                self._data_end = (start, parsed(records.DataEnd, content, start).data_section_crc)
-            elif kind == Opcode.STATISTICS:
-                self.statistics = parsed(records.Statistics, content, start)
-            elif kind == Opcode.CHUNK_INDEX:
-                index = parsed(records.ChunkIndex, content, start)
-                self.chunk_indexes[index.chunk_start_offset] = index
-            elif kind == Opcode.FOOTER:
-                self._footer = start, parsed(records.Footer, content, start)
+        elif kind in _RECORDS:
+            self._take_record(kind, content[:length] if len(content) >= length else self.file.read(begin, end), start)
 
-    def _chunk_header(self, start: int, end: int) -> ChunkHeader:
-        """Read the fields in front of a chunk's compressed bytes."""
-        record = self.file.read(start + HEADER_SIZE, min(start + 128, end))
+    def _take_record(self, kind: int, content: memoryview, offset: int) -> None:
+        """Read a record whole; a schema or a channel may be repeated in the summary and in chunks."""
         try:
-            first_ns, last_ns, size, crc, name_size = struct.unpack_from("<QQQII", record)
-            name = bytes(record[32 : 32 + name_size]).decode("ascii", "replace")
-            data_size = struct.unpack_from("<Q", record, 32 + name_size)[0]
-        except struct.error as error:
-            raise DamageError(start, f"a chunk has {len(record)} bytes, too few for its own header") from error
-        return ChunkHeader(first_ns, last_ns, size, crc, name, start + HEADER_SIZE + 40 + name_size, data_size)
+            record = _RECORDS[kind].read(ReadDataStream(BytesIO(content)))
+        except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:
+            what = f"a {_RECORDS[kind].__name__} record of {len(content)} bytes cannot be parsed"
+            raise DamageError(offset, what) from error
+        if kind == Opcode.METADATA:
+            self.metadata.append(record)
+        elif kind == Opcode.CHUNK_INDEX:
+            self._chunk_indexes[record.chunk_start_offset] = record
+        elif kind not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._only[kind] = offset, record
+        else:
+            known: dict[int, Any] = self.schemas if kind == Opcode.SCHEMA else self._channels
+            if known.setdefault(record.id, record) != record:
+                what = f"{type(record).__name__.lower()} {record.id} is not the same in two places"
+                raise DamageError(offset, what)
 
-    def _take_definition(self, kind: int, content: memoryview, offset: int) -> None:
-        """File a schema or a channel, which may be repeated in the summary and in chunks."""
-        record = parsed(_DEFINITIONS[kind], content, offset)
-        known: dict[int, Any] = self.schemas if kind == Opcode.SCHEMA else self._channels
-        if known.setdefault(record.id, record) != record:
-            what = f"{type(record).__name__.lower()} {record.id} is not the same in two places"
-            raise DamageError(offset, what)
+    def _chunk(self, start: int, end: int) -> Chunk:
+        """Read the fields in front of a chunk's compressed bytes."""
+        fields = self.file.read(start + HEADER_SIZE, min(start + 128, end))
+        try:
+            first_ns, last_ns, size, crc, name_size = struct.unpack_from("<QQQII", fields)
+            name = bytes(fields[32 : 32 + name_size]).decode("ascii", "replace")
+            data_size = struct.unpack_from("<Q", fields, 32 + name_size)[0]
+        except struct.error as error:
+            raise DamageError(start, f"a chunk has {len(fields)} bytes, too few for its own header") from error
+        data_start = start + HEADER_SIZE + 40 + name_size
+        return Chunk(start, end, False, name, data_start, data_size, size, crc, (first_ns, last_ns))
 
     def _take_attachment(self, begin: int, length: int) -> None:
         """Read an attachment's fields; its bytes are not touched."""
@@ -278,131 +329,67 @@ class McapFile(LogFile):
         if stream.count + size + 4 > length:
             raise DamageError(begin, f"an attachment says it has {size} bytes; its record has {length}")
         end = begin + stream.count + size
-        found = records.AttachmentIndex(end - size, size, log_ns, create_ns, size, name, media_type)
-        self.attachments.append(found)
+        self.attachments.append(records.AttachmentIndex(end - size, size, log_ns, create_ns, size, name, media_type))
         crc = int.from_bytes(self.file.read(end, end + 4), "little")
         self._attachments.append((begin, stream.count + size, crc))
 
     def _check_summary(self, end: int) -> None:
         """Hold the end of the file against what was found."""
-        if self._header is None:
-            self._damage(len(MAGIC), "no header begins the log")
-        if self._data_end is None:
-            if end < len(self.file):
-                self._damage(end, "no record ends the messages")
+        if Opcode.HEADER not in self._only:
+            self.damage(len(MAGIC), "no header begins the log")
+        self._is_open_ended = Opcode.DATA_END not in self._only
+        if self._is_open_ended:
+            if self._is_closed:
+                self.damage(end, "no record ends the messages")
             return
-        summary_start = self._data_end[0] + HEADER_SIZE + 4
-        if self._footer is None:
-            self._damage(end, "no footer is in front of the closing bytes")
+        summary_start, is_right = self._only[Opcode.DATA_END][0] + HEADER_SIZE + 4, True
+        footer_start, footer = self._only.get(Opcode.FOOTER, (0, None))
+        if footer is None:
+            if self._is_closed:
+                self.damage(end, "no footer is in front of the closing bytes")
         else:
-            footer_start, footer = self._footer
             if footer.summary_start not in (0, summary_start):
-                self._damage(footer_start, f"the footer says that the summary starts at byte {footer.summary_start}")
+                self.damage(footer_start, f"the footer says that the summary starts at byte {footer.summary_start}")
             # The checksum covers the footer up to itself.
             covered = self.file.read(summary_start, footer_start + HEADER_SIZE + 16)
             if footer.summary_crc and zlib_ng.crc32(covered) != footer.summary_crc:
-                self._damage(summary_start, "the checksum of the summary is not that of its bytes")
-                self.statistics, self.chunk_indexes = None, {}
-        starts = {chunk.start for chunk in self._chunks if chunk.header}
-        for start in self.chunk_indexes.keys() - starts:
-            self._damage(start, "the summary names a chunk where none is found")
-        for start in starts - self.chunk_indexes.keys() if self.chunk_indexes else ():
-            self._damage(start, "a chunk is here that the summary does not name")
-
-    def _limit_size(self) -> None:
-        """Leave out the chunks beyond what a file of this size may open to: a bomb would be read for hours."""
-        most, total, kept = most_opened(len(self.file), LARGEST_CHUNK), 0, []
-        for chunk in self._chunks:
-            size = chunk.header.size if chunk.header else 0
-            total += size if size <= most else 0  # a larger one is refused where it is opened
-            if total > most:
-                what = f"the chunks up to here open to {total} bytes, where a file of {len(self.file)} may hold {most}"
-                self._damage(chunk.start, what)
-                self.lost.append(chunk)
-            else:
-                kept.append(chunk)
-        self._chunks = kept
+                self.damage(summary_start, "the checksum of the summary is not that of its bytes")
+                is_right, self._chunk_indexes = False, {}
+        if is_right and (stated := self._record(Opcode.STATISTICS)) is not None:
+            self._announced = Counter(stated.channel_message_counts)
+            self._announced_ns = stated.message_start_time, stated.message_end_time
+        starts = {chunk.start for chunk in [*self._chunks, *self._lost] if not chunk.is_loose}
+        spans = {chunk.span_ns for chunk in [*self._chunks, *self._lost]}
+        for start, index in self._chunk_indexes.items():
+            if start not in starts:
+                self.damage(start, "the summary names a chunk where none is found")
+            if (index.message_start_time, index.message_end_time) not in spans:
+                self._missing.append(start)
+        for start in starts - self._chunk_indexes.keys() if self._chunk_indexes else ():
+            self.damage(start, "a chunk is here that the summary does not name")
 
     def _look_into_chunks(self) -> None:
         """Open the chunks of which it is not known what is in them, for definitions and counts."""
         for chunk in list(self._chunks):
             is_known = chunk.indexes and chunk.is_indexed and all(map(self._is_defined, chunk.counts))
-            if chunk.header and not is_known:
+            if not chunk.is_loose and not is_known:
                 for content in self._contents([chunk]):
                     chunk.counts = content.counts()
         for channel_id, count in self._counts().items():
             if channel_id not in self._channels:
-                what = f"{count} messages are of channel {channel_id}, which is nowhere defined"
-                self._damage(len(self.file), what)
+                self.damage(len(self.file), f"{count} messages are of channel {channel_id}, which is nowhere defined")
 
     def _is_defined(self, channel_id: int) -> bool:
         channel = self._channels.get(channel_id)
         return channel is not None and (channel.schema_id == 0 or channel.schema_id in self.schemas)
 
-    def _counts(self) -> Counter[int]:
-        """Count the messages of each channel."""
-        return sum((chunk.counts for chunk in self._chunks), Counter[int]())
-
     # --- Chunks.
 
-    def _contents(self, chunks: Collection[Chunk]) -> Iterator[Content]:
-        """Open chunks, some ahead of who reads them; those that cannot be opened are lost."""
-        sampled = {chunk.start for chunk in list(chunks)[:_SAMPLED]}
-        ahead: deque[tuple[Chunk, Future[tuple[memoryview, memoryview]] | Content]] = deque()
-        opener = ThreadPoolExecutor(1)
-        try:
-            for chunk in chunks:
-                kept = self._kept.get(chunk.start)
-                ahead.append((chunk, kept or opener.submit(self._open, chunk)))
-                while len(ahead) > _AHEAD or (
-                    len(ahead) > 1 and sum(one.header.size for one, _ in ahead if one.header) > _MOST_OPEN
-                ):
-                    yield from self._content(*ahead.popleft(), sampled)
-            while ahead:
-                yield from self._content(*ahead.popleft(), sampled)
-        finally:
-            # Who leaves may be the garbage collector, in the midst of the start of a thread: it must not wait for one.
-            opener.shutdown(wait=False, cancel_futures=True)
-
-    def _content(
-        self, chunk: Chunk, found: Future[tuple[memoryview, memoryview]] | Content, sampled: Collection[int]
-    ) -> Iterator[Content]:
-        self._opened.add(chunk.start)
-        if isinstance(found, Content):
-            yield found
-            return
-        try:
-            content = self._find_messages(chunk, *found.result())
-        except DamageError as error:
-            self.damages.setdefault(error.damage)
-            self._chunks.remove(chunk)
-            self.lost.append(chunk)
-            return
-        if chunk.start in sampled:
-            self._kept[chunk.start] = content
-            while sum(len(one.buffer) for one in self._kept.values()) > _KEPT:
-                del self._kept[next(iter(self._kept))]
-        yield content
-
-    def _open(self, chunk: Chunk) -> tuple[memoryview, memoryview]:
-        """Return the bytes of an open chunk, and those of the indexes behind it."""
-        raw, header = self.file.read(chunk.start, chunk.index_end), chunk.header
-        if header is None:
-            return raw, raw[len(raw) :]
-        data = raw[header.data_start - chunk.start : chunk.end - chunk.start]
-        if chunk.is_cut:
-            return opened_start(data, header.compression, header.size, chunk.start), raw[len(raw) :]
-        if len(data) != header.data_size:
-            what = f"a chunk says it has {header.data_size} compressed bytes; there are {len(data)}"
-            raise DamageError(chunk.start, what)
-        content = opened(data, header.compression, header.size, chunk.start, header.crc)
-        return content, raw[chunk.end - chunk.start :]
-
-    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Content:
+    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
         """Find the messages of an open chunk by its indexes, if the records agree with them, else record by record."""
-        ids, entries = self._indexed(chunk, behind)
-        order = np.argsort(entries["start"], kind="stable")
-        starts, ids, log_ns = entries["start"][order], ids[order], entries["log"][order]
+        ids, log_ns, starts = self._entries(chunk, behind)
+        order = np.argsort(starts, kind="stable")
+        ids, log_ns, starts = ids[order], log_ns[order], starts[order]
         inside = (starts >= 0) & (starts <= len(buffer) - MESSAGE.itemsize)
         heads = gather(buffer, np.where(inside, starts, 0), MESSAGE) if inside.any() else np.zeros(starts.size, MESSAGE)
         ends, follows = starts + HEADER_SIZE + heads["length"], np.append(starts, len(buffer))[1:]
@@ -411,102 +398,68 @@ class McapFile(LogFile):
         if chunk.indexes and right.all():
             gaps = [(0, int(starts[0]) if starts.size else len(buffer))]
             gaps += zip(ends[ends < follows].tolist(), follows[ends < follows].tolist(), strict=True)
-            if all(self._take_between(chunk, buffer, *gap) for gap in gaps):
-                return Content(buffer, starts, heads)
-        return self._walked(chunk, buffer, starts[right], set(zip(ids.tolist(), starts.tolist(), strict=True)))
-
-    def _indexed(self, chunk: Chunk, behind: memoryview) -> tuple[NDArray[np.int64], NDArray[Any]]:
-        """Return what the indexes of a chunk say: the channel of each message, and its entry."""
-        ids, parts = [0], [np.empty(0, _ENTRY)]
-        for start, length in chunk.indexes:
-            channel_id, size = struct.unpack_from("<HI", behind, start - chunk.end)
-            parts.append(np.frombuffer(behind, _ENTRY, min(size, length - 6) // _ENTRY.itemsize, start - chunk.end + 6))
-            ids.append(channel_id)
-        return np.repeat(np.array(ids, np.int64), [part.size for part in parts]), np.concatenate(parts)
-
-    def _take_between(self, chunk: Chunk, buffer: memoryview, start: int, end: int) -> bool:
-        """Take the definitions between messages; return whether there is nothing else."""
-        found, _, _, is_broken = walk(buffer[start:end], end - start)
-        self._take_definitions(chunk, buffer[start:end], found)
-        return not is_broken and not np.any(found[:, 0] == Opcode.MESSAGE)
-
-    def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: NDArray[np.int64]) -> None:
-        for kind, start, length in found[found[:, 0] < Opcode.MESSAGE].tolist():
-            if kind in _DEFINITIONS:
-                content = buffer[start + HEADER_SIZE : start + HEADER_SIZE + length]
-                with self.collected():
-                    self._take_definition(kind, content, chunk.start)
-
-    def _walked(
-        self, chunk: Chunk, buffer: memoryview, right: NDArray[np.int64], named: set[tuple[int, int]]
-    ) -> Content:
-        """Find the messages of an open chunk record by record, up to bytes that are none, and those that indexes know.
-
-        Some recorders name one message more for a channel than they wrote; what else they name wrongly is damage.
-        """
+            if not any(self._has_messages(chunk, buffer[start:end]) for start, end in gaps):
+                return _messages(heads, starts)
+        # Record by record, up to bytes that are none; behind them, those that the indexes know.
         found, _, stop, is_broken = walk(buffer, len(buffer))
         self._take_definitions(chunk, buffer, found)
-        starts = found[found[:, 0] == Opcode.MESSAGE, 1]
+        named = set(zip(ids.tolist(), starts.tolist(), strict=True))
+        known, starts = starts[right], found[found[:, 0] == Opcode.MESSAGE, 1]
         if is_broken:
             what = what_is_there(buffer[stop:], len(buffer) - stop)
             if not len(found):
                 raise DamageError(chunk.start, f"in the chunk no record is found: {what}")
-            self._damage(chunk.start, f"in the chunk, {stop} bytes on, {what}")
-            starts = np.union1d(starts, right[right >= (starts[-1] if starts.size else 0)])
-        content = Content(buffer, starts, gather(buffer, starts, MESSAGE))
-        if not chunk.indexes:
-            return content
-        there = set(zip(content.heads["channel"].tolist(), starts.tolist(), strict=True))
-        extra = Counter(id_ for id_, _ in named - there)
-        wrong = {id_ for id_, _ in there - named} | {id_ for id_, count in extra.items() if count > 1}
-        if wrong:
-            channels = listed(map(str, sorted(wrong)))
-            self._damage(chunk.start, f"the indexes of a chunk do not name its messages of channel {channels}")
-        if wrong or is_broken:
-            chunk.counts, chunk.is_indexed = content.counts(), False
-        return content
+            if not chunk.is_cut:
+                self.damage(chunk.start, f"in the chunk, {stop} bytes on, {what}")
+            starts = np.union1d(starts, known[known >= (starts[-1] if starts.size else 0)])
+        content = Content(buffer, _messages(gather(buffer, starts, MESSAGE), starts))
+        if chunk.indexes:
+            # Some recorders name one message more for a channel than they wrote; what else is named wrongly is damage.
+            there = set(zip(content.messages[0].tolist(), starts.tolist(), strict=True))
+            extra = Counter(id_ for id_, _ in named - there)
+            wrong = {id_ for id_, _ in there - named} | {id_ for id_, count in extra.items() if count > 1}
+            if wrong:
+                channels = listed(map(str, sorted(wrong)))
+                self.damage(chunk.start, f"the indexes of a chunk do not name its messages of channel {channels}")
+            if wrong or is_broken:
+                chunk.counts, chunk.is_indexed = content.counts(), False
+        return content.messages
+
+    def _entries(self, chunk: Chunk, behind: memoryview) -> Messages:
+        """Return what the indexes of a chunk say: channel, log time and place in the chunk of each message, (3, k)."""
+        parts = [np.empty((3, 0), np.int64)]
+        for start, end in chunk.indexes:
+            channel_id, size = struct.unpack_from("<HI", behind, start - chunk.end)
+            count = min(size, end - start - 6) // _ENTRY.itemsize
+            entries = np.frombuffer(behind, _ENTRY, count, start - chunk.end + 6)
+            parts.append(np.stack([np.full(count, channel_id, np.int64), entries["log"], entries["start"]]))
+        return np.concatenate(parts, axis=1)
+
+    def _listed(self, chunk: Chunk) -> Messages | None:
+        """Return channel and log time of the messages of a chunk, (3, k), as its indexes say."""
+        if chunk.indexes and chunk.is_indexed:
+            return self._entries(chunk, self.file.read(chunk.end, chunk.index_end))
+        return None
+
+    def _has_messages(self, chunk: Chunk, between: memoryview) -> bool:
+        """Take the definitions between messages; return whether there are messages, or bytes that are no record."""
+        found, _, _, is_broken = walk(between, len(between))
+        self._take_definitions(chunk, between, found)
+        return is_broken or bool(np.any(found[:, 0] == Opcode.MESSAGE))
+
+    def _take_definitions(self, chunk: Chunk, buffer: memoryview, found: NDArray[np.int64]) -> None:
+        for kind, start, length in found[found[:, 0] < Opcode.MESSAGE].tolist():
+            if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+                with self.collected():
+                    content = buffer[start + HEADER_SIZE : start + HEADER_SIZE + length]
+                    self._take_record(kind, content, chunk.start)
 
     # --- What a recording asks for.
 
-    def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
-        """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
-        for content in self._contents([one for one in self._chunks if not one.counts.keys().isdisjoint(channel_ids)]):
-            yield from content.blocks(channel_ids)
-
-    def log_times(self) -> dict[int, TimeNs]:
-        """Return the log times of all messages by channel, (k,) ns; only chunks without an index are opened."""
-        parts: dict[int, list[TimeNs]] = {channel.id: [np.empty(0, np.int64)] for channel in self.channels}
-        for _, times in self.times_by_chunk():
-            for channel_id, time_ns in times.items():
-                parts.setdefault(channel_id, []).append(time_ns)
-        return {channel_id: np.concatenate(times) for channel_id, times in parts.items()}
-
-    def times_by_chunk(self) -> Iterator[tuple[Chunk, dict[int, TimeNs]]]:
-        """Give each chunk with the log times of its messages by channel."""
-        for chunk in list(self._chunks):
-            if chunk.indexes and chunk.is_indexed:
-                ids, entries = self._indexed(chunk, self.file.read(chunk.end, chunk.index_end))
-                edges = np.flatnonzero(np.diff(ids)) + 1
-                firsts = ids[np.concatenate([[0], edges])].tolist() if ids.size else []
-                yield chunk, dict(zip(firsts, np.split(entries["log"], edges), strict=False))
-            else:
-                for content in self._contents([chunk]):
-                    yield chunk, {block.channel_id: block.log_time for block in content.blocks(content.counts())}
-
-    def saved_times(self) -> Iterator[TimeNs]:
-        """Read all that can be read and give the log times, a block of messages at a time; ns."""
-        for content in self._contents(list(self._chunks)):
-            yield from (block.log_time for block in content.blocks(self._channels))
-
-    def check_unopened(self) -> Iterator[None]:
-        """Open the chunks that nobody has opened so far, one by one, for their checksums alone."""
-        unopened = [one for one in self._chunks if one.header and one.header.crc and one.start not in self._opened]
-        for _ in self._contents(unopened):
-            yield
-
     def digest(self) -> Digest:
         """Go over all bytes of the file, and check the checksums of all messages and of attachments."""
-        digest = self.file.digest(*(self._data_end or (0, 0)))
+        end, data_end = self._only.get(Opcode.DATA_END, (0, None))
+        digest = self.file.digest(end, data_end.data_section_crc if data_end else 0)
         for start, length, crc in self._attachments:
             found = 0
             for place in range(start, start + length, _LARGE_WINDOW):
@@ -519,14 +472,14 @@ class McapFile(LogFile):
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong so far."""
         notes = []
-        missing = self.statistics.message_count - self._counts().total() if self.statistics else 0
+        missing = self._record(Opcode.STATISTICS).message_count - self._counts().total() if self._announced_ns else 0
         if self.damages:
             notes.append(damage_note(self.path.name, self.damages, self._losses()))
         elif missing:
             text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
             notes.append(Note("log_summary", text, abs(missing), Severity.WARNING, COPY_AGAIN))
-        headers = (chunk.header.last_ns for chunk in self._chunks if chunk.header)
-        last_ns = self.statistics.message_end_time if self.statistics else max(headers, default=0)
+        spans = [self._announced_ns] if self._announced_ns else [chunk.span_ns for chunk in self._chunks]
+        last_ns = max((last for _, last in spans), default=0)
         if last_ns >= _END_OF_TIME_NS:
             text = (
                 f"the log times of {self.path.name} go on to {last_ns} ns since 1970; from 2^63 ns on, which is in the "
@@ -539,53 +492,8 @@ class McapFile(LogFile):
             notes.append(Note("unknown_records", text, self._private))
         return tuple(notes)
 
-    def _losses(self) -> str:
-        """State how many messages of each topic are lost, for how long it has none, and how many bytes are damaged."""
-        topics = {channel.id: channel.topic for channel in self.channels}
-        stated, bad = self.statistics, {(chunk.start, chunk.end) for chunk in self.lost} | set(self.passed)
-        headers = [chunk.header for chunk in [*self._chunks, *self.lost] if chunk.header]
-        spans = {(header.first_ns, header.last_ns) for header in headers}
-        missing = [
-            start
-            for start, index in self.chunk_indexes.items()
-            if (index.message_start_time, index.message_end_time) not in spans
-        ]
-        holes = sorted([start for start, _ in bad] + missing)
-        last_ns = max((last for first, last in spans if 0 < first <= last < first + _LONGEST_NS), default=0)
-        if stated:
-            last_ns = stated.message_end_time
-        # A topic is interrupted from its last message before damaged bytes to its first one behind them.
-        found, latest_ns, gap_ns = Counter[str](), dict[str, int](), Counter[str]()
-        interrupted: set[str] = set()
-        for chunk, times in self.times_by_chunk():
-            if holes and holes[0] <= chunk.start:
-                interrupted = set(topics.values())
-                holes = [hole for hole in holes if hole > chunk.start]
-            by_topic: dict[str, list[TimeNs]] = {}
-            for channel_id in times.keys() & topics:
-                by_topic.setdefault(topics[channel_id], []).append(times[channel_id])
-            for topic, parts in by_topic.items():
-                time_ns = np.concatenate(parts)
-                found[topic] += time_ns.size
-                if topic in interrupted and time_ns.size:
-                    since_ns = latest_ns.get(topic, stated.message_start_time if stated else int(time_ns.min()))
-                    gap_ns[topic] += max(int(time_ns.min()) - since_ns, 0)
-                    interrupted.discard(topic)
-                latest_ns[topic] = max(latest_ns.get(topic, 0), int(time_ns.max(initial=0)))
-        for topic in latest_ns if holes or self._data_end is None else interrupted & latest_ns.keys():
-            gap_ns[topic] += max(last_ns - latest_ns[topic], 0)
-        announced = Counter[str]()
-        counts = stated.channel_message_counts if stated else sum((chunk.counts for chunk in self.lost), Counter[int]())
-        for channel_id, count in counts.items():
-            announced[topics.get(channel_id, "unknown channels")] += count
-        lost = (announced - found if stated else announced).most_common()
-        least = "" if stated else "at least "
-        told = [f"{least}{count} messages of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost]
-        size = sum(end - start for start, end in bad)
-        is_open = self._data_end is None and stated is None
-        if not told and (stated or not (size or is_open)):
-            told = ["no messages"]
-        longest_s = max(gap_ns.values(), default=0) * 1e-9
-        what = listed(told, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
-        damaged = f", {size} bytes are damaged" if size else ""
-        return f"{what} are lost{damaged}{'; nothing tells how long the recording went on' if is_open else ''}"
+
+def _messages(heads: NDArray[Any], starts: NDArray[np.int64]) -> Messages:
+    """Return the messages whose heads begin at some places of a chunk."""
+    columns = heads["channel"], heads["log"], heads["publish"], starts + MESSAGE.itemsize
+    return np.stack([*columns, heads["length"] - _MESSAGE_FIELDS], dtype=np.int64)

@@ -23,8 +23,7 @@ from insdvl_replay.logs.formats.log_file import (
     UnusableFileError,
     damaged_file_error,
 )
-from insdvl_replay.logs.formats.mcap_file import McapFile
-from insdvl_replay.logs.formats.records import MAGIC
+from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
 
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
 Step = TypeVar("Step")

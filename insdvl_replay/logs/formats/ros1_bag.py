@@ -8,7 +8,7 @@ Source: the format of version 2.0, http://wiki.ros.org/Bags/Format/2.0.
 
 from array import array
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final, NamedTuple
 
@@ -20,30 +20,25 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
-    Block,
-    Damage,
+    Chunk,
+    ChunkedFile,
     DamageError,
     FileBytes,
     LogChannel,
-    LogFile,
+    Messages,
     damage_note,
     gather,
-    opened,
 )
 
 _MAGIC: Final = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)  # kinds of records
 _LONGEST_HEADER: Final = 1 << 20
+_SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
+_MOST_OTHERS: Final = 1 << 16  # records of a chunk that are no messages: connections
+_MOST_CHANNELS: Final = 1 << 16
 _WORD: Final = np.dtype("<u4")
 _ENTRY: Final = np.dtype([("sec", "<u4"), ("nanosec", "<u4"), ("place", "<u4")])  # of the index of a chunk
 _COUNT: Final = np.dtype([("connection", "<u4"), ("count", "<u4")])  # of what the end of the bag says of a chunk
-# Of each message of a chunk: where its record and its payload start, and how long this is.
-_MOST_OTHERS: Final = 1 << 16  # records of a chunk that are no messages: connections
-_SHORTEST_HEADER: Final = 8  # bytes of the field that says the kind
-_USUALLY_OPENED: Final = 1 << 27  # bytes
-_MOST_COMPRESSED: Final = 64  # bags that open to more than usual are no more densely compressed
-_FOUND: Final = np.dtype([(name, np.int64) for name in ("connection", "time_ns", "place", "start", "size")])
-Messages = NDArray[np.void]  # of _FOUND
 Read = Callable[[int, int], memoryview]  # the bytes from a place to another
 
 
@@ -69,104 +64,83 @@ class _Record(NamedTuple):
         return self.fields.get(name, b"").decode("utf-8", "replace")
 
 
-class BagFile(LogFile):
+class BagFile(ChunkedFile):
     """A .bag of version 2.0, open for reading."""
 
     profile = "ros1"
     library = "rosbag"
+    usually_opened = 1 << 27
+    most_compressed = 64
 
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
         self._connections: dict[int, LogChannel] = {}
-        self._chunks: dict[int, tuple[_Record, Messages]] = {}
-        self._announced: Counter[int] | None = None  # messages by connection, as the end of the bag says
+        self._found: dict[int, Messages] = {}  # by the chunk's place
+        self._indexes: dict[int, list[_Record]] = {}
         with self.watched():
             self._read()
         self.chunk_count = len(self._chunks)
-        self.compression = tuple(sorted({chunk.text(b"compression") for chunk, _ in self._chunks.values()}))
-        times = self.log_times()
-        self.channels = tuple(replace(one, messages=times[one.id].size) for one in self._connections.values())
+        self.compression = tuple(sorted({chunk.compression or "none" for chunk in self._chunks}))
+        counts = self._counts()
+        self.channels = tuple(replace(one, messages=counts[one.id]) for one in self._connections.values())
 
     @property
     def notes(self) -> tuple[Note, ...]:
         """What was found wrong, or that the recorder did not close the bag."""
         if self.damages:
-            lost = "an unknown number of messages are lost"
-            if self._announced is not None:
-                topics = Counter[str]()
-                for number, count in self._announced.items():
-                    topics[self._connections[number].topic if number in self._connections else "no topic"] += count
-                topics.subtract({channel.topic: channel.messages for channel in self.channels})
-                parts = [f"{count} messages of {topic}" for topic, count in topics.items() if count > 0]
-                lost = f"{', '.join(parts) or 'no messages'} are lost"
-            return (damage_note(self.path.name, self.damages, lost),)
+            return (damage_note(self.path.name, self.damages, self._losses()),)
         if not self.has_summary:
             text = f"{self.path.name} was not closed by its recorder: what came last may be missing"
             return (Note("log_summary", text, 1, Severity.WARNING, COPY_AGAIN),)
         return ()
 
-    def log_times(self) -> dict[int, TimeNs]:
-        """Return the log times of all messages by channel, (k,) ns."""
-        found = np.concatenate([np.empty(0, _FOUND), *(messages for _, messages in self._chunks.values())])
-        return {
-            channel.id: found["time_ns"][found["connection"] == number] for number, channel in self._connections.items()
-        }
-
-    def blocks(self, channel_ids: Collection[int]) -> Iterator[Block]:
-        """Go through the messages of some channels, a chunk at a time; chunks without them stay closed."""
-        wanted = {number: channel.id for number, channel in self._connections.items() if channel.id in channel_ids}
-        for chunk, messages in self._chunks.values():
-            there = sorted(wanted.keys() & set(np.unique(messages["connection"]).tolist()))
-            buffer = self._open(chunk) if there else memoryview(b"")
-            for number in there:
-                rows = messages[messages["connection"] == number]
-                time_ns = rows["time_ns"].copy()
-                yield Block(wanted[number], buffer, rows["start"].copy(), rows["size"].copy(), time_ns, time_ns)
-
     def _read(self) -> None:
         """Go through the records of the file, up to its end or to bytes that are none, and open its chunks."""
         place, latest = len(_MAGIC), -1
         found: dict[int, list[_Record]] = {kind: [] for kind in range(_BAG, _CONNECTION + 1)}
-        indexes: dict[int, list[_Record]] = {}
         with self.collected():
             while place < len(self.file):
                 record = _record_at(self.file.read, place, len(self.file))
                 if record.kind == _INDEX and latest >= 0:
-                    indexes[latest].append(record)
+                    self._indexes[latest].append(record)
                 elif record.kind not in found:
                     raise DamageError(place, f"a record of kind {record.kind} is where none belongs")
                 else:
                     found[record.kind].append(record)
                     latest = place if record.kind == _CHUNK else -1
-                    indexes[place] = []
+                    self._indexes[place] = []
                 place = record.end
+        if place < len(self.file):
+            self._passed.append((place, len(self.file)))
         if any(header.text(b"encryptor") for header in found[_BAG]):
             raise LogError("is encrypted", "where its key is, `rosbag decompress` writes it plain", self.path)
         if len(found[_BAG]) != 1:
-            self.damages.setdefault(Damage(len(_MAGIC), f"the bag has {len(found[_BAG])} headers"))
+            self.damage(len(_MAGIC), f"the bag has {len(found[_BAG])} headers")
         self.has_summary = any(header.fields.get(b"index_pos", b"").strip(b"\0") for header in found[_BAG])
         for record in found[_CONNECTION]:
             with self.collected():
                 self._take_connection(record, self.file.read(record.start, record.end))
-        most, total = max(_USUALLY_OPENED, _MOST_COMPRESSED * len(self.file)), 0
-        for chunk in found[_CHUNK]:
+        for record in found[_CHUNK]:
             with self.collected():
-                size = chunk.number(b"size", 4)
-                opens_to, what = size, "a chunk says it opens"
-                if size <= most:
-                    total += size
-                    opens_to, what = total, "the chunks up to here open"
-                if opens_to > most:
-                    limit = f"where a bag of {len(self.file)} may hold {most}"
-                    raise DamageError(chunk.offset, f"{what} to {opens_to} bytes, {limit}")
-                self._chunks[chunk.offset] = chunk, self._messages_of(chunk, indexes[chunk.offset])
+                compression, size = record.text(b"compression").removeprefix("none"), record.number(b"size", 4)
+                length = record.end - record.start
+                self._chunks.append(Chunk(record.offset, record.end, False, compression, record.start, length, size))
+        self._limit_size()
+        for _ in self._contents(self._chunks):
+            pass
         for info in found[_CHUNK_INFO] if self.has_summary else ():
             with self.collected():
-                counts = dict(self._entries(info, _COUNT).tolist())
-                self._announced = (self._announced or Counter()) + Counter(counts)
-                _, messages = self._chunks.get(info.number(b"chunk_pos", 8), (None, None))
-                if messages is None or counts != Counter(messages["connection"].tolist()):
+                entries = self._entries(info, _COUNT)
+                numbers, counts = entries["connection"].tolist(), entries["count"].tolist()
+                announced = Counter(dict(zip(self._ids(numbers), counts, strict=True)))
+                self._announced = (self._announced or Counter()) + announced
+                place = info.number(b"chunk_pos", 8)
+                if not any(chunk.start == place and chunk.counts == announced for chunk in self._chunks):
                     raise DamageError(info.offset, "the end of the bag does not agree with one of its chunks")
+
+    def _ids(self, connections: list[int]) -> list[int]:
+        """Return the channels of connections; -1 where one is nowhere described."""
+        return [self._connections[number].id if number in self._connections else -1 for number in connections]
 
     def _take_connection(self, record: _Record, data: memoryview) -> None:
         """Make a channel of a connection; the same is in its chunk and at the end of the bag."""
@@ -182,41 +156,45 @@ class BagFile(LogFile):
             schema_data=told.fields.get(b"message_definition", b""),
             metadata={name: told.text(name.encode()) for name in ("md5sum", "callerid")},
         )
-        if channel.id >= 1 << 16:
+        if channel.id >= _MOST_CHANNELS:
             raise LogError("has more than 65536 connections", "no vehicle records so many", self.path)
         if self._connections.setdefault(number, channel) != channel:
             raise DamageError(record.offset, f"connection {number} is not the same in two places")
 
-    def _messages_of(self, chunk: _Record, indexes: list[_Record]) -> Messages:
-        """Open a chunk, and hold its indexes against the messages in it, of which those without connection are lost."""
-        buffer = self._open(chunk)
+    def _find_messages(self, chunk: Chunk, buffer: memoryview, behind: memoryview) -> Messages:
+        """Find the messages of an open chunk, and hold its indexes against them; those without connection are lost."""
+        if chunk.start in self._found:
+            return self._found[chunk.start]
         try:
-            messages, others = _find_messages(buffer)
+            messages, others = messages_in(buffer)
             for record in others:
                 if record.kind == _CONNECTION:
                     self._take_connection(record, buffer[record.start : record.end])
         except DamageError as error:
             offset, what = error.damage
-            raise DamageError(chunk.offset, f"in the chunk, {offset} bytes on, {what}") from error
-        for number in sorted(set(messages["connection"].tolist()) - self._connections.keys()):
-            what = f"messages are of connection {number}, which is nowhere described"
-            self.damages.setdefault(Damage(chunk.offset, what))
-        named = 0
+            raise DamageError(chunk.start, f"in the chunk, {offset} bytes on, {what}") from error
+        connection, time_ns, places, starts, sizes = messages
+        indexes, named = self._indexes[chunk.start], 0
         with self.collected():
             for index in indexes:
                 entries = np.sort(self._entries(index, _ENTRY), order="place", kind="stable")
-                found = messages[messages["connection"] == index.number(b"conn", 4)]
-                time_ns = _time_ns(entries["sec"], entries["nanosec"])
-                if np.array_equal(entries["place"], found["place"]) and np.array_equal(time_ns, found["time_ns"]):
+                is_own = connection == index.number(b"conn", 4)
+                stamps_ns = _time_ns(entries["sec"], entries["nanosec"])
+                if np.array_equal(entries["place"], places[is_own]) and np.array_equal(stamps_ns, time_ns[is_own]):
                     named += len(entries)
-            if (indexes or self.has_summary) and named != len(messages):
-                raise DamageError(chunk.offset, "the indexes of a chunk do not name its messages")
-        return messages
+            if (indexes or self.has_summary) and named != connection.size:
+                raise DamageError(chunk.start, "the indexes of a chunk do not name its messages")
+        numbers, rows, counts = np.unique(connection, return_inverse=True, return_counts=True)
+        ids = np.array(self._ids(numbers.tolist()), np.int64)
+        for number in numbers[ids < 0].tolist():
+            self.damage(chunk.start, f"messages are of connection {number}, which is nowhere described")
+        chunk.counts = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
+        self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])
+        return self._found[chunk.start]
 
-    def _open(self, chunk: _Record) -> memoryview:
-        compression = chunk.text(b"compression").removeprefix("none")
-        data = self.file.read(chunk.start, chunk.end)
-        return opened(data, compression, chunk.number(b"size", 4), chunk.offset)
+    def _listed(self, chunk: Chunk) -> Messages | None:
+        """Return channel and log time of the messages of a chunk and more, (5, k)."""
+        return self._found[chunk.start]
 
     def _entries(self, record: _Record, dtype: np.dtype[Any]) -> NDArray[Any]:
         """Read the entries of an index, (k,)."""
@@ -257,8 +235,11 @@ def _time_ns(sec: NDArray[Any], nanosec: NDArray[Any]) -> TimeNs:
     return np.asarray(sec.astype(np.int64) * NS_PER_S + nanosec)
 
 
-def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
-    """Find the messages and the other records of an open chunk; a DamageError has the place in it."""
+def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
+    """Find the messages of an open chunk, and its other records; a DamageError has the place in it.
+
+    Of each message: connection, time, and where its record and its payload start and how long this is, (5, k).
+    """
     place, end, bounds = 0, len(buffer), array("q")
     while place < end:
         # As `_record_at`, without the fields.
@@ -271,11 +252,10 @@ def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         bounds.extend((place, start, behind))
         place = behind
     places, starts, ends = np.array(bounds, np.int64).reshape(-1, 3).T
-    found = np.zeros(places.size, _FOUND)
-    found["connection"], found["place"], found["start"], found["size"] = -1, places, starts, ends - starts
+    connections, time_ns = np.full(places.size, -1, np.int64), np.zeros(places.size, np.int64)
     others, is_tried = [], False
     for row in range(places.size):
-        if found["connection"][row] >= 0:
+        if connections[row] >= 0:
             continue
         record = _record_at(lambda first, last: buffer[first:last], int(places[row]), end)
         if record.kind != _MESSAGE:
@@ -284,7 +264,7 @@ def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
                 raise DamageError(int(places[row]), f"more than {_MOST_OTHERS} records of a chunk are no messages")
             continue
         nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
-        found["connection"][row], found["time_ns"][row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec
+        connections[row], time_ns[row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec
         if not is_tried:
             # Nearly all messages have headers that differ from the first in connection and time alone.
             size = int(starts[row] - places[row]) - 8
@@ -295,7 +275,8 @@ def _find_messages(buffer: memoryview) -> tuple[Messages, list[_Record]]:
             varies = np.isin(np.arange(size), [*range(connection, connection + 4), *range(time, time + 8)])
             rows = rows[(headers[:, ~varies] == header[~varies]).all(axis=1)]
             at = places[rows] + 4
-            found["connection"][rows] = gather(buffer, at + connection, _WORD)
-            found["time_ns"][rows] = _time_ns(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
+            connections[rows] = gather(buffer, at + connection, _WORD)
+            time_ns[rows] = _time_ns(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
         is_tried = True
-    return found[found["connection"] >= 0], others
+    is_message = connections >= 0
+    return np.stack([connections, time_ns, places, starts, ends - starts])[:, is_message], others
