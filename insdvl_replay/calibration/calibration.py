@@ -168,7 +168,7 @@ def calibrate(
     first = fitted(dives, asked, settled=NEARLY_SETTLED)
     noise = fit_noise(dives, [first.change(i) for i in range(len(dives))])
     dives = [noise.applied(dive) for dive in dives]
-    settled = fitted(dives, first.unknowns.free, start=first.values)
+    settled = fitted(dives, first.free, start=first.values)
     noise_shares = noise_share(settled, dives)
     found = seen_by_motion(settled, dives, noise_shares)
     effects = effects_of_errors(found, dives)

@@ -64,14 +64,14 @@ def certainty_of(fit: Fit, beside: Fit | None = None, pulled_by: Floats | None =
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, inner.cov, mean_of))
     # What the prior says is one measurement of its own, and has no neighbours.
     moved = mean_of @ inner.moved_by_scores
-    scores_cov = inner.unknowns.total([newey_west(near.scores) for near in inner.dives])
+    scores_cov = inner.total(newey_west(near.scores) for near in inner.dives)
     correlated = np.sqrt(np.einsum("ij,jk,ik->i", moved, scores_cov, moved))
     beams = imu = np.zeros(OWN)
     if pulled_by is not None:
         parts = mean_of @ np.column_stack([pulled_by, inner.step])
         beams, imu = (np.linalg.norm(part, axis=1) for part in np.split(parts, [BEAM_ERRORS], axis=1))
     # Behind a mean of delays that are each dive's own stand as many priors.
-    prior_sd = np.sqrt(mean_of**2 @ fit.unknowns.prior_sd**2)
+    prior_sd = np.sqrt(mean_of**2 @ fit.prior_sd**2)
     between = birge = np.full(OWN, np.nan)
     if len(fit.dives) >= FEWEST_DIVES:
         own, own_sd = one_by_one(fit)
@@ -127,13 +127,12 @@ def mean_change(fit: Fit) -> Floats:
 
 def _means(fit: Fit) -> Floats:
     """Return what makes the eight of all unknowns, (8, count): the delay is the dives', by `delay_weights`."""
-    unknowns = fit.unknowns
-    rows = np.zeros((OWN, len(unknowns.parameters)))
-    rows[SHARED_ROWS, unknowns.rows(0)[SHARED_ROWS]] = 1.0
+    means = np.zeros((OWN, len(fit.values)))
+    means[SHARED_ROWS, fit.rows[0][SHARED_ROWS]] = 1.0
     weights = delay_weights(*own_delays(fit))
-    for dive, share in enumerate(weights / weights.sum()):
-        rows[DELAY, unknowns.rows(dive)[DELAY]] += share
-    return rows
+    for rows, share in zip(fit.rows, weights / weights.sum(), strict=True):
+        means[DELAY, rows[DELAY]] += share
+    return means
 
 
 def newey_west(scores: Floats) -> Floats:
@@ -150,18 +149,15 @@ def newey_west(scores: Floats) -> Floats:
 
 def one_by_one(fit: Fit) -> tuple[Floats, Floats]:
     """Return what each dive says by itself near the common answer, and its formal sds, (n, 8)."""
-    own, own_sd = [], []
-    for i, near in enumerate(fit.dives):
-        alone = Fit(replace(fit.unknowns, dives=1), fit.change(i)[[*SHARED_ROWS, DELAY]], (near,))
-        own.append((alone.values + alone.step)[alone.unknowns.rows(0)])
-        own_sd.append(np.sqrt(np.diag(alone.cov))[alone.unknowns.rows(0)])
-    return np.array(own), np.array(own_sd)
+    alone = [fit.alone(dive) for dive in range(len(fit.dives))]
+    own_sd = [np.sqrt(np.diag(dive.cov)) for dive in alone]
+    return np.array([dive.values + dive.step for dive in alone]), np.array(own_sd)
 
 
 def own_delays(fit: Fit) -> tuple[Floats, Floats]:
     """Return the delay of each dive and its formal sd, s, (n,)."""
-    rows = [int(fit.unknowns.rows(i)[DELAY]) for i in range(fit.unknowns.dives)]
-    return fit.values[rows], np.sqrt(np.diag(fit.cov))[rows]
+    delays = [rows[DELAY] for rows in fit.rows]
+    return fit.values[delays], np.sqrt(np.diag(fit.cov))[delays]
 
 
 def autocorrelation(near: Linearised) -> Floats:
@@ -207,7 +203,7 @@ def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
         gyro_radps = min(times * noise.gyro_white_rad_rts, shown) / root_s
         force_b = imu.specific_force_b + accel_mps2 * rng.standard_normal(shape)
         noisier = _with_imu(dive, force_b, imu.angular_rate_b + gyro_radps * rng.standard_normal(shape))
-        added = noisier.jacobian(found.change(i), found.unknowns.free) / near.scatter[:, None] - near.jacobian
+        added = noisier.jacobian(found.change(i), found.free) / near.scatter[:, None] - near.jacobian
         own, whole = (np.einsum("ka,kai->i", near.weights, part**2) for part in (added, near.jacobian))
         shares[i] = own / np.maximum(whole, np.finfo(float).tiny)
     return shares
@@ -219,13 +215,13 @@ def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares
     for i, (dive, near) in enumerate(zip(dives, smallest.dives, strict=True)):
         imu, noisy = dive.dive.imu, noise_shares[i] > LITTLE
         slow = (averaged(readings, imu.usual_step_s) for readings in (imu.specific_force_b, imu.angular_rate_b))
-        jacobian = _with_imu(dive, *slow).jacobian(smallest.change(i), smallest.unknowns.free & noisy)
+        jacobian = _with_imu(dive, *slow).jacobian(smallest.change(i), smallest.free & noisy)
         by_motion = np.where(noisy, jacobian / near.scatter[:, None], near.jacobian)
         near_by_motion.append(replace(near, by_motion=by_motion * (noise_shares[i] <= MOSTLY)))
     here = replace(smallest, dives=tuple(near_by_motion))
     values = here.values + here.step
     values[OWN - 1 :] = np.clip(values[OWN - 1 :], -LATEST_S, LATEST_S)
-    moved = (dive.residuals(values[smallest.unknowns.rows(i)]) for i, dive in enumerate(dives))
+    moved = (dive.residuals(values[rows]) for rows, dive in zip(smallest.rows, dives, strict=True))
     there = (replace(near, residuals=residuals) for near, residuals in zip(here.dives, moved, strict=True))
     return replace(here, values=values, dives=tuple(there))
 
@@ -310,9 +306,9 @@ def beside_imu_errors(fit: Fit, effects: Sequence[Floats]) -> Fit:
 def pulled(fit: Fit, effects: Sequence[Floats]) -> Floats:
     """Return how far each error of one sd, the same in all dives, pulls the answer, (count, 26)."""
     pull = np.zeros((len(fit.values), effects[0].shape[2]))
-    for i, (near, moved) in enumerate(zip(fit.dives, effects, strict=True)):
-        pull[fit.unknowns.rows(i)] -= np.einsum("ka,kai,kaj->ij", near.weights**3, near.by_motion, moved)
-    pull[~fit.unknowns.is_free] = 0.0
+    for rows, near, moved in zip(fit.rows, fit.dives, effects, strict=True):
+        pull[rows] -= np.einsum("ka,kai,kaj->ij", near.weights**3, near.by_motion, moved)
+    pull[~fit.is_free] = 0.0
     return np.asarray(fit.moved_by_scores @ pull)
 
 

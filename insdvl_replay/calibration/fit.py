@@ -6,8 +6,8 @@ dive's, since clocks are set anew. Sources: Levenberg, 1944, and Marquardt, 1963
 "Robust statistics", for weights from a scale that is estimated beside them.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Final
 
@@ -34,49 +34,6 @@ STEEPER, FLATTER = 10.0, 0.1
 LARGEST_DAMPING: Final = 1e6
 OWN: Final = len(NAMES)
 SHARED_ROWS: Final = np.array([i for i in range(OWN) if i != DELAY])
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """The numbers that are estimated: the seven of the vehicle, then the delays of the dives, or one for all."""
-
-    dives: int
-    one_delay: bool  # whether all dives share one, as those of one driver may
-    free: Mask  # (8,): what is estimated at all
-
-    @property
-    def parameters(self) -> NDArray[np.int64]:
-        """Which of the eight parameters each number is, (count,)."""
-        return np.concatenate([SHARED_ROWS, np.full(1 if self.one_delay else self.dives, DELAY)])
-
-    def rows(self, dive: int) -> NDArray[np.int64]:
-        """Places of a dive's eight parameters among the numbers, (8,)."""
-        rows = np.empty(OWN, dtype=np.int64)
-        rows[SHARED_ROWS] = np.arange(OWN - 1)
-        rows[DELAY] = OWN - 1 + (0 if self.one_delay else dive)
-        return rows
-
-    @property
-    def prior_sd(self) -> Floats:
-        """How far each number may be off, (count,)."""
-        return PRIOR_SD[self.parameters]
-
-    @property
-    def is_free(self) -> Mask:
-        """Whether each number is estimated, (count,)."""
-        return self.free[self.parameters]
-
-    def total(self, matrices: Sequence[Floats]) -> Floats:
-        """Add a matrix (8, 8) of each dive to the information of the prior, (count, count)."""
-        return total_information(self.prior_sd, [self.rows(i) for i in range(len(matrices))], matrices)
-
-
-def total_information(prior_sd: Floats, rows: Sequence[NDArray[np.int64]], matrices: Sequence[Floats]) -> Floats:
-    """Add the matrix of each dive, at its rows, to the information of the prior, (n, n)."""
-    total = np.diag(prior_sd**-2.0)
-    for places, matrix in zip(rows, matrices, strict=True):
-        total[np.ix_(places, places)] += matrix
-    return total
 
 
 @dataclass(frozen=True)
@@ -126,40 +83,66 @@ class Linearised:
 class Fit:
     """An answer, and the dives linearised there."""
 
-    unknowns: Unknowns
-    values: Floats  # (count,): changes, in the order of `Unknowns`
+    rows: tuple[NDArray[np.int64], ...]  # of each dive: places of its p parameters among the numbers, (p,)
+    prior_sd: Floats  # (count,): how far each number may be off
+    is_free: Mask  # (count,): whether each is estimated
+    values: Floats  # (count,): changes
     dives: tuple[Linearised, ...]
 
+    @property
+    def free(self) -> Mask:
+        """Which parameters of a dive are estimated, (p,)."""
+        return self.is_free[self.rows[0]]
+
     def change(self, dive: int) -> Floats:
-        """Return the change of one dive, (8,)."""
-        return self.values[self.unknowns.rows(dive)]
+        """Return the change of one dive, (p,)."""
+        return self.values[self.rows[dive]]
+
+    def alone(self, dive: int) -> "Fit":
+        """Return what one dive says by itself, of its own parameters."""
+        rows, own = self.rows[dive], np.arange(len(self.rows[dive]))
+        return Fit((own,), self.prior_sd[rows], self.is_free[rows], self.values[rows], (self.dives[dive],))
+
+    def total(self, matrices: Iterable[Floats]) -> Floats:
+        """Add a matrix (p, p) of each dive to the information of the prior, (count, count)."""
+        total = np.diag(self.prior_sd**-2.0)
+        for rows, matrix in zip(self.rows, matrices, strict=True):
+            total[np.ix_(rows, rows)] += matrix
+        return total
+
+    @property
+    def slope(self) -> Floats:
+        """How fast the gradient falls with the numbers, (count, count)."""
+        return self.total(near.slope for near in self.dives)
+
+    @property
+    def information(self) -> Floats:
+        """Covariance of the gradient where residuals are white, (count, count)."""
+        return self.total(near.information for near in self.dives)
 
     @property
     def cov(self) -> Floats:
         """Formal covariance, (count, count); what is held has the prior alone."""
-        inverse = np.linalg.inv(self.unknowns.total([near.slope for near in self.dives]))
-        information = self.unknowns.total([near.information for near in self.dives])
-        return np.asarray(inverse @ information @ inverse.T, dtype=np.float64)
+        inverse = np.linalg.inv(self.slope)
+        return np.asarray(inverse @ self.information @ inverse.T, dtype=np.float64)
 
     @property
     def gradient(self) -> Floats:
         """Minus half the gradient of the cost, (count,)."""
-        gradient = -self.values / self.unknowns.prior_sd**2
-        for i, near in enumerate(self.dives):
-            gradient[self.unknowns.rows(i)] += near.scores.sum(axis=0)
+        gradient = -self.values / self.prior_sd**2
+        for rows, near in zip(self.rows, self.dives, strict=True):
+            gradient[rows] += near.scores.sum(axis=0)
         return gradient
 
     @property
     def step(self) -> Floats:
         """How far it is from here to where the scores' sum is zero, (count,); what is held stays."""
-        slope = self.unknowns.total([near.slope for near in self.dives])
-        return np.where(self.unknowns.is_free, np.linalg.solve(slope, self.gradient), 0.0)
+        return np.where(self.is_free, np.linalg.solve(self.slope, self.gradient), 0.0)
 
     @property
     def moved_by_scores(self) -> Floats:
         """How far the answer moves with what the pings say, (count, count): the inverse curvature."""
-        curvature = self.unknowns.total([near.curvature for near in self.dives])
-        return np.asarray(np.linalg.inv(curvature), dtype=np.float64)
+        return np.asarray(np.linalg.inv(self.total(near.curvature for near in self.dives)), dtype=np.float64)
 
 
 def weights_of(scaled: Floats) -> Floats:
@@ -186,11 +169,15 @@ def fit(
     start: Floats | None = None,
     settled: float = SETTLED,
 ) -> Fit:
-    """Find the changes under which the innovations of all dives are smallest."""
-    unknowns = Unknowns(len(dives), one_delay, free)
-    delays = slice(OWN - 1, None)
+    """Find the changes under which the innovations of all dives are smallest.
+
+    The numbers are the seven of the vehicle, then the delays of the dives, or one for all.
+    """
+    rows = tuple(np.insert(np.arange(OWN - 1), DELAY, OWN - 1 + (0 if one_delay else i)) for i in range(len(dives)))
+    parameters = np.append(SHARED_ROWS, np.full(1 if one_delay else len(dives), DELAY))
+    prior_sd, is_free, delays = PRIOR_SD[parameters], free[parameters], slice(OWN - 1, None)
     # Begin at the delay of a coarse grid, so that the fit cannot stay in a side valley.
-    values = np.zeros(len(unknowns.parameters)) if start is None else np.where(unknowns.is_free, start, 0.0)
+    values = np.zeros(len(parameters)) if start is None else np.where(is_free, start, 0.0)
     if start is None and free[DELAY]:
         grid = np.arange(-LATEST_S, LATEST_S + DELAY_STEP_S / 2.0, DELAY_STEP_S)
         costs = np.array(
@@ -199,44 +186,45 @@ def fit(
         values[delays] = grid[np.argmin(costs.sum(axis=0, keepdims=True) if one_delay else costs, axis=1)]
 
     def residuals_at(values: Floats) -> list[Floats]:
-        return [dive.residuals(values[unknowns.rows(i)]) for i, dive in enumerate(dives)]
+        return [dive.residuals(values[places]) for dive, places in zip(dives, rows, strict=True)]
 
     def linearised(values: Floats, residuals: Sequence[Floats]) -> Fit:
-        near = []
-        for i, dive in enumerate(dives):
-            scatter = scatter_of(residuals[i])
-            jacobian = dive.jacobian(values[unknowns.rows(i)], free) / scatter[:, None]
-            near.append(Linearised(residuals[i], scatter, jacobian, jacobian))
-        return Fit(unknowns, values, tuple(near))
+        scatters = [scatter_of(left) for left in residuals]
+        jacobians = [
+            dive.jacobian(values[places], free) / scatter[:, None]
+            for dive, places, scatter in zip(dives, rows, scatters, strict=True)
+        ]
+        return Fit(rows, prior_sd, is_free, values, tuple(map(Linearised, residuals, scatters, jacobians, jacobians)))
 
-    def cost(values: Floats, scaled: Sequence[Floats]) -> float:
-        return float(sum(map(robust_cost, scaled)) + np.sum((values / unknowns.prior_sd) ** 2))
+    def cost(values: Floats, scaled: Iterable[Floats]) -> float:
+        return float(sum(map(robust_cost, scaled)) + np.sum((values / prior_sd) ** 2))
 
     damping, found = 1e-3, linearised(values, residuals_at(values))
     for _ in track_progress("fitting the innovations", range(MOST_ROUNDS)):
-        information = unknowns.total([near.information for near in found.dives])
-        gradient, before = found.gradient, cost(found.values, [near.scaled for near in found.dives])
+        information, gradient = found.information, found.gradient
+        before = cost(found.values, (near.scaled for near in found.dives))
         while damping < LARGEST_DAMPING:
             step = np.linalg.solve(information + damping * np.diag(np.diag(information)), gradient)
-            step[~unknowns.is_free] = 0.0
-            late = found.values[delays] + step[delays]
-            step[delays] += np.clip(late, -LATEST_S, LATEST_S) - late
-            residuals = residuals_at(found.values + step)
+            step[~is_free] = 0.0
+            values = found.values + step
+            values[delays] = np.clip(values[delays], -LATEST_S, LATEST_S)
+            residuals = residuals_at(values)
             # Over what each axis scattered by before: else a worse answer could look better.
-            scaled = [left / near.scatter for left, near in zip(residuals, found.dives, strict=True)]
-            if cost(found.values + step, scaled) <= before:
+            scaled = (left / near.scatter for left, near in zip(residuals, found.dives, strict=True))
+            if cost(values, scaled) <= before:
                 break
             damping *= STEEPER
         else:
             return found
         damping *= FLATTER
-        values, sds = found.values + step, np.sqrt(np.diag(np.linalg.inv(information)))
+        step, sds = values - found.values, np.sqrt(np.diag(np.linalg.inv(information)))
         if np.max(np.abs(step) / sds) < settled:
             # So near, derivatives are the same.
             scatters = [scatter_of(left) for left in residuals]
             pairs = zip(found.dives, scatters, strict=True)
             jacobians = [near.jacobian * (near.scatter / scatter)[:, None] for near, scatter in pairs]
-            return Fit(unknowns, values, tuple(map(Linearised, residuals, scatters, jacobians, jacobians)))
+            near_here = map(Linearised, residuals, scatters, jacobians, jacobians)
+            return replace(found, values=values, dives=tuple(near_here))
         found = linearised(values, residuals)
     return found
 

@@ -335,7 +335,7 @@ def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) ->
 def _between_dives(found: Calibration) -> Iterator[Figure]:
     """Draw what each dive says by itself; nothing of one dive."""
     own, own_sd = one_by_one(found.fit)
-    common, drawn = mean_change(found.fit), found.fit.unknowns.free
+    common, drawn = mean_change(found.fit), found.fit.free
     if len(own) < 2 or not drawn.any():
         return
     place = np.arange(1.0, len(own) + 1.0)

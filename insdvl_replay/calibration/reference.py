@@ -31,7 +31,7 @@ from insdvl_replay.calibration.calibration import (
     parameter_rows,
 )
 from insdvl_replay.calibration.certainty import SEEN, Certainty, differing
-from insdvl_replay.calibration.fit import Linearised, scatter_of, total_information
+from insdvl_replay.calibration.fit import Fit, Linearised, scatter_of
 from insdvl_replay.calibration.innovations import (
     NO_CHANGE,
     DiveInnovations,
@@ -269,28 +269,25 @@ def reference_dive(
 
 
 @dataclass(frozen=True)
-class ReferenceFit:
-    """An answer: changes of `SHARED`, then what is each of the n dives' own."""
+class ReferenceFit(Fit):
+    """An answer: changes of `SHARED`, then what is each of the n dives' own; what is `CONSIDERED` is not estimated."""
 
-    values: Floats  # (15 + 2 n,)
-    prior_sd: Floats  # likewise
     times_s: tuple[Floats, ...]  # of each dive
-    dives: tuple[Linearised, ...]
     information_of_pings: Floats  # (15,), at most; zero where they are not asked
 
     @property
     def certainty(self) -> Certainty:
         """Three standard deviations of each of `SHARED`, as those of a calibration without reference."""
-        cov, considered = self.solved([near.information for near in self.dives])
-        moved, _ = self.solved([near.curvature for near in self.dives])
+        cov, considered = solved(self, self.information)
+        moved, _ = solved(self, self.total(near.curvature for near in self.dives))
         # What the prior says is one measurement of its own.
         correlated = considered + np.sum((moved / self.prior_sd) ** 2, axis=1)
-        for i, (time_s, near) in enumerate(zip(self.times_s, self.dives, strict=True)):
+        for rows, time_s, near in zip(self.rows, self.times_s, self.dives, strict=True):
             times, at = np.unique(time_s, return_inverse=True)
             scores = np.zeros((len(times), COUNT + OWN))
             np.add.at(scores, at, near.scores)
             # Parts of a sum that may be alike for a long time.
-            parts = scores @ moved[rows_of_dive(i)]
+            parts = scores @ moved[rows]
             samples = np.array([max(samples_in_mean(column), 1.0) for column in parts.T])
             correlated += np.sum(parts**2, axis=0) * len(parts) / samples
         # What all pings of a dive are off by is fitted away, and no residual shows it: their scatter says how much.
@@ -298,63 +295,49 @@ class ReferenceFit:
         correlated[seen] += 1.0 / self.information_of_pings[seen]
         correlated[CLOCK] += FINEST_CLOCK_S**2
         formal, correlated = (np.sqrt(variances)[:COUNT] for variances in (np.diag(cov) + considered, correlated))
-        none = np.zeros(COUNT)
         between = birge = np.full(COUNT, np.nan)
         if len(self.dives) > 1:
-            own, own_sd = [], []
-            for i, near in enumerate(self.dives):
-                rows = rows_of_dive(i)
-                alone = ReferenceFit(self.values[rows], self.prior_sd[rows], (self.times_s[i],), (near,), none)
-                cov, considered = alone.solved([near.information])
-                own.append((alone.values + cov @ alone.gradient)[:COUNT])
-                own_sd.append(np.sqrt(np.diag(cov) + considered)[:COUNT])
-            between, birge = differing(np.array(own), np.array(own_sd), np.ones_like(own))
-        return Certainty(SHARED_SD, formal, correlated, between, birge, none, none)
-
-    @property
-    def gradient(self) -> Floats:
-        """Minus half the gradient of the cost, as the values."""
-        gradient = -self.values / self.prior_sd**2
-        for i, near in enumerate(self.dives):
-            gradient[rows_of_dive(i)] += near.scores.sum(axis=0)
-        return gradient
-
-    def solved(self, matrices: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return the covariance of what is estimated, and the variances that what is considered adds (Schmidt).
-
-        The first is zero, and the second the prior's, for what is considered. The matrices are each dive's, (17, 17).
-        """
-        rows = [rows_of_dive(i) for i in range(len(matrices))]
-        information = total_information(self.prior_sd, rows, matrices)
-        considered = np.flatnonzero(CONSIDERED)
-        estimated = np.setdiff1d(np.arange(len(information)), considered)
-        cov, added = np.zeros_like(information), np.zeros(len(information))
-        own = np.linalg.inv(information[np.ix_(estimated, estimated)])
-        cov[np.ix_(estimated, estimated)] = own
-        moved = own @ information[np.ix_(estimated, considered)]
-        added[estimated] = np.sum((moved * self.prior_sd[considered]) ** 2, axis=1)
-        added[considered] = self.prior_sd[considered] ** 2
-        return cov, added
+            own, own_sd = np.empty((2, len(self.dives), COUNT))
+            for i in range(len(self.dives)):
+                alone = self.alone(i)
+                cov, considered = solved(alone, alone.information)
+                own[i] = (alone.values + cov @ alone.gradient)[:COUNT]
+                own_sd[i] = np.sqrt(np.diag(cov) + considered)[:COUNT]
+            between, birge = differing(own, own_sd, np.ones_like(own))
+        return Certainty(SHARED_SD, formal, correlated, between, birge, np.zeros(COUNT), np.zeros(COUNT))
 
 
-def rows_of_dive(dive: int) -> NDArray[np.int64]:
-    """Places of the numbers of a dive among all, (17,)."""
-    return np.concatenate([np.arange(COUNT), COUNT + OWN * dive + np.arange(OWN)])
+def solved(fit: Fit, information: Floats) -> tuple[Floats, Floats]:
+    """Return the covariance of what is estimated, and the variances that what is considered adds (Schmidt).
+
+    The first is zero, and the second the prior's, for what is considered.
+    """
+    considered = np.flatnonzero(CONSIDERED)
+    estimated = np.setdiff1d(np.arange(len(information)), considered)
+    cov, added = np.zeros_like(information), np.zeros(len(information))
+    own = np.linalg.inv(information[np.ix_(estimated, estimated)])
+    cov[np.ix_(estimated, estimated)] = own
+    moved = own @ information[np.ix_(estimated, considered)]
+    added[estimated] = np.sum((moved * fit.prior_sd[considered]) ** 2, axis=1)
+    added[considered] = fit.prior_sd[considered] ** 2
+    return cov, added
 
 
 def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats) -> ReferenceFit:
     """Find the changes of `SHARED`, known by some sds before, under which baseline and reference differ least."""
-    prior_sd = np.concatenate([shared_sd, np.full(OWN * len(dives), LOST_HEADING_SD)])
+    own = COUNT + np.arange(OWN * len(dives)).reshape(-1, OWN)
+    rows = tuple(np.append(np.arange(COUNT), places) for places in own)
+    prior_sd = np.append(shared_sd, np.full(own.size, LOST_HEADING_SD))
     pings = np.sum([dive.information_of_pings for dive in dives], axis=0) * free
 
     def linearised(values: Floats) -> ReferenceFit:
-        found = [dive.linearised(values[rows_of_dive(i)], free) for i, dive in enumerate(dives)]
+        found = [dive.linearised(values[places], free) for dive, places in zip(dives, rows, strict=True)]
         times_s, near = zip(*found, strict=True)
-        return ReferenceFit(values, prior_sd, times_s, near, pings)
+        return ReferenceFit(rows, prior_sd, np.ones_like(values, bool), values, near, times_s, pings)
 
     fit = linearised(np.zeros(len(prior_sd)))
     for _ in track_progress("fitting the reference", range(ROUNDS)):
-        cov, _ = fit.solved([near.information for near in fit.dives])
+        cov, _ = solved(fit, fit.information)
         values = fit.values + cov @ fit.gradient
         values[CLOCK] = np.clip(values[CLOCK], -LATEST_CLOCK_S, LATEST_CLOCK_S)
         fit = linearised(values)

@@ -35,7 +35,7 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, FASTEST_MPS
 from insdvl_replay.geometry.frames import Complex, DvlMounting, horizontal, north_east_m, solve_beams
 from insdvl_replay.geometry.rotation import wrap_angle
 
-SCALE_DOUBT: Final = 0.1  # share of a speed or a rate beyond what temperature, sound speed and lever arm explain
+LARGEST_SCALE_ERROR: Final = 0.1  # share of a speed or a rate; sound speed and lever arm explain less
 COHERENT: Final = 0.97  # only what follows the reference this well can be measured by it
 INCOHERENT: Final = 0.95  # what follows the reference worse than this contradicts it
 
@@ -63,7 +63,11 @@ def fit(measured: Complex, true: Complex) -> Fit:
 
 def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
     """Compare the DVL's horizontal velocity in body axes with the reference's; None where too few rows move."""
-    measured, true = map(horizontal, _velocity_pairs(dvl, reference, config))
+    return _horizontal_fit(*_velocity_pairs(dvl, reference, config))
+
+
+def _horizontal_fit(measured_b: Floats, true_b: Floats) -> Fit | None:
+    measured, true = horizontal(measured_b), horizontal(true_b)
     moving = np.abs(true) > 0.2  # m/s, above a DVL's noise and a lever arm's swing
     return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
 
@@ -73,7 +77,7 @@ def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config
     ping_ns, measured_b = velocities_b(dvl, config)
     if len(ping_ns) < ENOUGH:
         return np.empty((0, 3)), np.empty((0, 3))
-    complete = np.isfinite(reference.velocity_n).all(axis=1) & np.isfinite(reference.mat_nb).all(axis=(1, 2))
+    complete = reference.known["velocities"] & reference.known["attitudes"]
     rows = np.flatnonzero(complete & lies_within(reference.time_ns, ping_ns))
     after = np.clip(np.searchsorted(ping_ns, reference.time_ns[rows]), 1, len(ping_ns) - 1)
     rows = rows[seconds(ping_ns[after], ping_ns[after - 1]) <= LONGEST_STEP_S]
@@ -96,23 +100,26 @@ def velocities_b(dvl: DvlColumns, config: Config) -> tuple[TimeNs, Floats]:
     return dvl.time_ns[good], mounting.velocity_b(velocity_d[good])
 
 
+def measured_mps(dvl: DvlColumns) -> Floats:
+    """Return the velocities as they were measured, along the axes or the beams, (m, n)."""
+    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
+    return np.empty((0, 3)) if values is None else values
+
+
 def median_speed_mps(dvl: DvlColumns) -> float:
     """Return the largest component of a ping in the median, 0 without any."""
-    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    if values is None or not np.isfinite(values).any():
+    values = measured_mps(dvl)
+    if not np.isfinite(values).any():
         return 0.0
     return float(np.median(np.abs(values).max(axis=1, initial=0.0, where=np.isfinite(values))))
 
 
 def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> Iterator[Remark]:
     """Check the pings of a DVL."""
-    speed_mps = median_speed_mps(dvl)
+    speed_mps, values, count = median_speed_mps(dvl), measured_mps(dvl), len(dvl.time_ns)
     if speed_mps > FASTEST_MPS:
         text = f"the DVL's largest component is {speed_mps:g} m/s in the median of its pings"
         yield LogError(text, _UNIT_HINT, place)
-    values = dvl.velocity_d if dvl.velocity_d is not None else dvl.beam_velocity_mps
-    if values is None:
-        return
     zero = np.flatnonzero((values == 0.0).all(axis=1))
     if zero.size:
         text = (
@@ -124,29 +131,30 @@ def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None,
     for name, column in zip(names, values.T, strict=True):
         given = column[np.isfinite(column)]
         if len(given) >= ENOUGH and np.all(given == given[0]):
-            always_mps = given[0] + 0.0  # never a negative zero
-            text = (
-                f"the velocity {name} is {always_mps:g} m/s in all {len(given)} pings that have it, from the first on"
+            text = (  # never a negative zero
+                f"the velocity {name} is {given[0] + 0.0:g} m/s in all {len(given)} pings that have it, from the first "
+                "on"
             )
             yield warning("dvl_constant", text, len(given), "dvl.velocity or dvl.beam_velocity names other fields")
-    if reference is not None:
-        yield from _velocity_remarks(place, dvl, reference, config)
+    if reference is None:
+        return
 
-
-def _velocity_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Iterator[Remark]:
     measured_b, true_b = _velocity_pairs(dvl, reference, config)
+    found = _horizontal_fit(measured_b, true_b)
+    # Below 0.015 m/s a DVL shows its noise. Sound logs have correlations of more than 0.7.
     opposite = [
         axis
         for axis, measured, true in zip(AXES[1:], measured_b.T[1:], true_b.T[1:], strict=True)
-        # Below 0.015 m/s a DVL shows its noise. Sound logs have correlations of more than 0.7.
         if len(true) >= ENOUGH and true.std() > 0.015 and measured.std() > 0.0
         if np.corrcoef(measured, true)[0, 1] < -0.5
     ]
-    found = dvl_by_velocity(dvl, reference, config)
-    since, count = "from the first ping on", len(dvl.time_ns)
     # By less than 10 deg, lever arm and sideslip turn a velocity on average.
-    if found is not None and found.coherence >= COHERENT and abs(found.turn) > 10.0 * DEG:
+    follows = found is not None and found.coherence >= COHERENT
+    turned = found is not None and follows and abs(found.turn) > 10.0 * DEG
+    if found is not None and follows and (turned or not opposite):
         yield from scale_remarks(place, found.scale, dvl, config)
+    since = "from the first ping on"
+    if found is not None and turned:
         roll, pitch, heading = config.dvl.mounting_rpy_deg
         right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
         text = f"the DVL's velocity is turned by {found.turn / DEG:.0f} deg from the reference's, {since}"
@@ -156,8 +164,6 @@ def _velocity_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns, 
         text = f"the DVL's velocity has the opposite sign of the reference's along {' and '.join(opposite)}, {since}"
         hint = 'dvl.axes = "flu" where it is "frd" now, or the reverse; for beams, dvl.beam_azimuth_deg'
         yield warning("dvl_axes", text, count, hint)
-    elif found is not None and found.coherence >= COHERENT:
-        yield from scale_remarks(place, found.scale, dvl, config)
     elif found is not None and found.coherence < INCOHERENT:
         text = f"the DVL's velocity does not follow the reference's, {since} (coherence {found.coherence:.2f})"
         hint = "dvl.beam_azimuth_deg, dvl.axes, reference.axes, or dvl.stamp and reference.stamp"
@@ -165,11 +171,11 @@ def _velocity_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns, 
 
 
 def scale_remarks(place: str, scale: float, dvl: DvlColumns, config: Config) -> Iterator[Remark]:
-    """Doubt the scale of a DVL, and refuse what must be another unit."""
+    """Warn of the scale of a DVL, and refuse what must be another unit."""
     text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"
     if not 0.2 < scale < 5.0:
         yield LogError(text, _UNIT_HINT, place)
-    elif abs(scale - 1.0) > SCALE_DOUBT:
+    elif abs(scale - 1.0) > LARGEST_SCALE_ERROR:
         hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
         yield warning("dvl_scale", text, len(dvl.time_ns), hint)
 

@@ -30,6 +30,7 @@ LONGEST_STEP_S: Final = 2.5  # nobody saw what happened in a longer step
 SPIN_RADPS: Final = 1.0  # no vehicle that a DVL can follow turns faster than this half of the time
 
 _LEAST_S: Final = 2.0  # a shorter log is no reason to refuse it
+# Ratio of the readings to gravity where they are in this unit and were taken for another.
 _UNIT_BY_RATIO: Final = (
     (1.0 / (1000.0 * MG), "g"),
     (1.0 / MG, "mg"),
@@ -38,10 +39,8 @@ _UNIT_BY_RATIO: Final = (
     (1e-3, "g"),
     (1e3, "mg"),
 )
-"""Ratio of the readings to gravity where they are in this unit and were taken for another."""
 
-Remark = Note | LogError
-"""What a check finds: an error where the tables would be wrong, a note where they may be."""
+Remark = Note | LogError  # an error where the tables would be wrong, a note where they may be
 
 
 def warning(code: str, text: str, count: int, hint: str) -> Note:
@@ -79,8 +78,7 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
 
     # The rate.
     steps_ns = np.diff(imu.time_ns)
-    is_short = steps_ns <= nanoseconds(settings.max_gap_s)
-    short_ns = steps_ns if is_short.all() else steps_ns[is_short]
+    short_ns = steps_ns[steps_ns <= nanoseconds(settings.max_gap_s)]
     rate_hz = NS_PER_S / float(short_ns.mean()) if len(short_ns) >= ENOUGH else np.inf
     text = f"the IMU has {rate_hz:.1f} samples a second, too few for an INS to follow a vehicle's motion, from 0 s on"
     if rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
@@ -90,21 +88,17 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
         yield warning("imu_slow", text, count, "imu.topic names a faster one, if the log has any")
 
     # Axes that never change: none of a vehicle in water is constant to the last bit for ten seconds.
-    for quantity, unit, readings in (
-        ("specific_force", "m/s^2", imu.specific_force_b),
-        ("angular_rate", "rad/s", imu.angular_rate_b),
-    ):
-        if span_s < 10.0:
-            break
-        words, hint = quantity.replace("_", " "), f'imu.{quantity} = "field.path" names another field'
+    by_name = {"specific_force": ("m/s^2", imu.specific_force_b), "angular_rate": ("rad/s", imu.angular_rate_b)}
+    for name, (unit, readings) in by_name.items() if span_s >= 10.0 else ():
+        quantity, hint = name.replace("_", " "), f'imu.{name} = "field.path" names another field'
         # The last reading mostly shows that they are not the same.
         same = readings[-1] == readings[0]
         same[same] = (readings[:, same] == readings[0, same]).all(axis=0)
         if same.all() and not readings[0].any():
-            yield LogError(f"the {words} is zero in all {count} samples of the IMU", hint, place)
+            yield LogError(f"the {quantity} is zero in all {count} samples of the IMU", hint, place)
             break
         for axis in np.flatnonzero(same).tolist():
-            text = f"{words} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {count} samples, from 0 s on"
+            text = f"{quantity} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {count} samples, from 0 s on"
             yield warning("imu_constant", text, count, hint)
 
     # Runs of over a second in which all six readings repeat.
@@ -156,9 +150,9 @@ def _gravity_remarks(
     if not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S:  # another unit, or another scale
         yield LogError(text, hint, place)
     elif abs(ratio - 1.0) > 0.05:  # no bias of a working accelerometer reaches 50 mg
-        doubtful = np.abs(sizes / gravity - 1.0) > 0.05
-        text += f"; the first time at {since_s(imu.time_ns, starts[doubtful][0]):.1f} s"
-        yield warning("imu_gravity", text, int(doubtful.sum()), hint)
+        off = np.abs(sizes / gravity - 1.0) > 0.05
+        text += f"; the first time at {since_s(imu.time_ns, starts[off][0]):.1f} s"
+        yield warning("imu_gravity", text, int(off.sum()), hint)
     elif along_down > 0.0:
         text = (
             f"the specific force along down is {along_down:+.3f} m/s^2 in the median of quiet seconds, the first time "

@@ -12,7 +12,7 @@ import numpy as np
 from insdvl_replay.checks.dvl import (
     COHERENT,
     INCOHERENT,
-    SCALE_DOUBT,
+    LARGEST_SCALE_ERROR,
     TrackFit,
     dvl_remarks,
     median_speed_mps,
@@ -40,7 +40,7 @@ from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, le
 from insdvl_replay.geometry.rotation import vector_from_mat, wrap_angle
 
 UNIT_WRONG: Final = 5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
-TRACK_DOUBT: Final = 0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
+LARGEST_TRACK_ERROR: Final = 0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
 
 
 @dataclass(frozen=True)
@@ -102,9 +102,11 @@ def _comparisons(
 
 def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFit | None) -> GyroScale | None:
     if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
-        return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + SCALE_DOUBT)
+        return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + LARGEST_SCALE_ERROR)
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
-        return GyroScale(track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + TRACK_DOUBT)
+        return GyroScale(
+            track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + LARGEST_TRACK_ERROR
+        )
     # In a moving vehicle, the direction of gravity swings with its own acceleration.
     by_gravity = gyro_by_gravity(imu)
     return GyroScale(by_gravity, "the swing of gravity", 1.7) if by_gravity is not None else None

@@ -22,7 +22,7 @@ import numpy as np
 
 from insdvl_replay.checks.dvl import dvl_by_velocity
 from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
-from insdvl_replay.checks.reference import TRACK_DOUBT, UNIT_WRONG, GyroScale, gyro_scale, velocity_misfit
+from insdvl_replay.checks.reference import LARGEST_TRACK_ERROR, UNIT_WRONG, GyroScale, gyro_scale, velocity_misfit
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns
@@ -641,7 +641,8 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
         unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
         rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)
         scale = gyro_scale(replace(imu, angular_rate_b=rate_b), dvl, reference, config) if deep else None
-        if scale is not None and scale.tolerance <= 1.0 + TRACK_DOUBT and scale.tolerance < scale.off < UNIT_WRONG:
+        is_measured = scale is not None and scale.tolerance <= 1.0 + LARGEST_TRACK_ERROR  # gravity shows less
+        if scale is not None and is_measured and scale.tolerance < scale.off < UNIT_WRONG:
             text = f"the angular rate is {scale.scale:.3g} times what {scale.by} shows"
             number = round(scale.scale * imu_settings.angular_rate_scale, 3)
             found.append(Setting("imu.angular_rate_scale", number, text))

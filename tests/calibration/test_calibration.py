@@ -25,7 +25,7 @@ from scipy.stats import norm
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
 from insdvl_replay.calibration.certainty import BEAM_ERRORS, beside_imu_errors, certainty_of, mean_change, newey_west
-from insdvl_replay.calibration.fit import AXES, Fit, Linearised, Unknowns, fit, likeliest_mounting, possible_axes
+from insdvl_replay.calibration.fit import AXES, Fit, Linearised, fit, likeliest_mounting, possible_axes
 from insdvl_replay.calibration.innovations import read_dive
 from insdvl_replay.calibration.noise import (
     AT_MOST,
@@ -37,7 +37,7 @@ from insdvl_replay.calibration.noise import (
     relative_sds,
 )
 from insdvl_replay.calibration.output import calibration_toml
-from insdvl_replay.calibration.parameters import ALL_GROUPS, ARM, DELAY, MOUNTING, NAMES, PARAMETERS
+from insdvl_replay.calibration.parameters import ALL_GROUPS, ARM, DELAY, MOUNTING, NAMES, PARAMETERS, PRIOR_SD
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import DvlColumns
@@ -183,7 +183,7 @@ def test_a_derivative_that_looks_like_an_error_of_the_imu_keeps_what_its_prior_l
     effects = np.zeros((8, 3, BEAM_ERRORS + 18))
     effects[:, :, BEAM_ERRORS : BEAM_ERRORS + 1] = alike
     near = Linearised(np.zeros((8, 3)), np.ones(3), alike, alike)
-    fitted = Fit(Unknowns(1, one_delay=True, free=ALL), np.zeros(8), (near,))
+    fitted = Fit((np.arange(8),), PRIOR_SD, ALL, np.zeros(8), (near,))
     (left,) = beside_imu_errors(fitted, [effects]).dives
     np.testing.assert_allclose(left.by_motion, alike / (24.0 + 1.0))
 

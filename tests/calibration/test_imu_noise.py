@@ -8,9 +8,9 @@ from built_in import ARM_M, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, b
 
 from insdvl_replay.calibration.calibration import MANY_TIMES, Calibration, calibrate
 from insdvl_replay.calibration.certainty import MOTION_S, averaged, certainty_of, delay_weights, differing, noise_share
-from insdvl_replay.calibration.fit import Fit, Linearised, Unknowns, fit
+from insdvl_replay.calibration.fit import Fit, Linearised, fit
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import DELAY, NAMES
+from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
@@ -189,8 +189,7 @@ def test_both_standard_deviations_are_alike_where_residuals_are_white() -> None:
     by_motion = rng.standard_normal((4000, 3, len(NAMES)))
     jacobian = by_motion @ (np.eye(len(NAMES)) + 0.3 * rng.standard_normal((len(NAMES), len(NAMES))))
     near = Linearised(rng.standard_normal((4000, 3)), np.ones(3), jacobian, by_motion)
-    unknowns = Unknowns(1, one_delay=False, free=free)
-    certainty = certainty_of(Fit(unknowns, np.zeros(len(unknowns.parameters)), (near,)))
+    certainty = certainty_of(Fit((np.arange(len(NAMES)),), PRIOR_SD, free, np.zeros(len(NAMES)), (near,)))
     assert certainty.correlated == pytest.approx(certainty.formal, rel=0.2)
 
 
