@@ -19,7 +19,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.tables import CredibilityRow, finite
-from insdvl_replay.evaluation.chi_square import mean_interval
+from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.credibility import StateErrors, about_vehicle, credibility_table, state_errors, whitened
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.preparation.prepared import prepare_dive

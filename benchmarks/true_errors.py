@@ -12,7 +12,7 @@ import numpy as np
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
-from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 
 MARGIN: Final = 1.05
 """A ratio of errors nearer to 1 makes no difference to anybody."""

@@ -11,17 +11,12 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import report_stage, return_freed_memory
 from insdvl_replay.core.tables import Candidate, Tables
-from insdvl_replay.evaluation.consistency import constants_notes, settings_hints, update_notes
 from insdvl_replay.evaluation.drift import jump_table
-from insdvl_replay.evaluation.errors import ReferenceErrors
-from insdvl_replay.evaluation.evaluate import (
-    Curves,
-    curves_of,
-    judged_candidates,
-    reference_notes,
-    tables_of_filters,
-)
+from insdvl_replay.evaluation.evaluate import Curves, curves_of, tables_of_filters
 from insdvl_replay.evaluation.evidence import ReferenceNoise
+from insdvl_replay.evaluation.notes import constants_notes, reference_notes, settings_hints, update_notes
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors
+from insdvl_replay.evaluation.verdicts import judged_candidates
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.gaps import outage_notes
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu

@@ -23,7 +23,7 @@ from insdvl_replay.core.tables import (
     Tables,
     TrackFitRow,
 )
-from insdvl_replay.evaluation.predicted import mean_over_nine
+from insdvl_replay.evaluation.convergence import mean_over_nine
 
 NAN = float("nan")
 

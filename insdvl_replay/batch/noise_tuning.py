@@ -17,14 +17,8 @@ from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.consistency import (
-    CLASSES,
-    NOISE_FAR_OFF,
-    beyond_the_sensor,
-    log_likelihood,
-    readings_scatter,
-    sensor_class,
-)
+from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.evaluation.notes import CLASSES, NOISE_FAR_OFF, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import resolve_filter
 from insdvl_replay.preparation.prepared import Prepared, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one

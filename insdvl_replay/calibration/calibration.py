@@ -60,7 +60,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.consistency import CLASSES, sensor_class
+from insdvl_replay.evaluation.notes import CLASSES, sensor_class
 from insdvl_replay.evaluation.outage_test import outage_test_table
 from insdvl_replay.preparation.run import (
     outage_plan,

@@ -18,7 +18,7 @@ from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
 from insdvl_replay.calibration.parameters import DELAY, NAMES
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.runtime import parallel_map
-from insdvl_replay.evaluation.consistency import readings_scatter
+from insdvl_replay.evaluation.notes import readings_scatter
 from insdvl_replay.geometry.frames import beam_vectors
 
 FEWEST_DIVES: Final = 2

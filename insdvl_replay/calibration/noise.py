@@ -21,7 +21,7 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.consistency import beyond_the_sensor, readings_scatter
+from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
 INERTIAL: Final = {"accel_white_mps_rts": "specific_force_b", "gyro_white_rad_rts": "angular_rate_b"}

@@ -62,7 +62,7 @@ from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.drift import TrackFit, filter_track_fit
-from insdvl_replay.evaluation.errors import reference_errors
+from insdvl_replay.evaluation.reference_errors import reference_errors
 from insdvl_replay.evaluation.series import samples_in_mean
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat

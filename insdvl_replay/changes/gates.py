@@ -376,7 +376,7 @@ def is_meant(gate: Gate, dive: str) -> bool:
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
     """Make a result of what all dives say together, as if it were one dive's."""
-    from insdvl_replay.evaluation.over_dives import pooled_evidence
+    from insdvl_replay.evaluation.verdicts import pooled_evidence
 
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:

@@ -1,12 +1,14 @@
-"""When each candidate is as good as the baseline is at the end, by its own covariance and by its true errors.
+"""How much each candidate improves on the baseline, and how much sooner it converges, by covariance and by errors.
 
-Predicted convergence follows from P alone. Measured convergence is that of the rms of true errors over drawn starts; at
+Predicted improvement and convergence follow from P alone. Any further measurement shrinks P: they say how certain a
+filter is, never how right. P is read where a filter has just used a ping, since between pings it grows; the end of the
+dive is the last ping. Measured convergence is that of the rms of true errors over drawn starts; at
 each time it is over the last tenth of what has passed, so that ten seconds are seen as finely as an hour, and the end
 of the dive is its last tenth.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -15,18 +17,19 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import CONVERGED
-from insdvl_replay.core.states import DV, PHI
-from insdvl_replay.core.tables import ConvergenceRow
-from insdvl_replay.core.words import ConvergenceStatus
-from insdvl_replay.evaluation.errors import DrawnErrors, squared_errors
-from insdvl_replay.evaluation.predicted import improvement_pct, last_row, predicted_states
-from insdvl_replay.evaluation.series import MARGIN
+from insdvl_replay.core.states import DV, NINE, PHI, STATES, State
+from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow, finite
+from insdvl_replay.core.words import ConvergenceStatus, ImprovementStatus
+from insdvl_replay.evaluation.reference_errors import DrawnErrors, improvement_pct, squared_errors
+from insdvl_replay.evaluation.series import MARGIN, RatioInterval
 
 LAST: Final = 0.1  # Share of the time that has passed of which an rms is.
 STEP: Final = 0.02  # Each time at which the rms is looked at is so much of itself before the next.
 RESAMPLES: Final = 1000
 SEED: Final = 1
+SAME_PCT: Final = 0.05  # A smaller change of a standard deviation is ``same``: with one digit it would read 0.0 %.
 BEYOND: Final = 1e200  # Replaces a square that is larger, or not finite: no filter comes back from there.
+NINE_NAMES: Final = frozenset(state.id for state in NINE)
 FEWEST_STARTS: Final = 3  # The dive's own, and two that are drawn.
 
 
@@ -40,13 +43,9 @@ class MeasuredConvergence(NamedTuple):
     baseline_s: float  # from the start; NaN unless reached
     candidate_s: float
     status: ConvergenceStatus  # of the baseline where its errors do not fall, else of the candidate
-    ratio: float  # candidate over baseline, below 1 is sooner; NaN unless both are reached
-    low: float  # middle 95 % and 90 % of the ratios over resampled starts; NaN where the baseline does not fall
-    high: float
-    low90: float
-    high90: float
-    p: float  # share of those ratios that are not beyond the margin on the side of the ratio
-    starts: int
+    # Ratio NaN unless both are reached; ends of the ratios over resampled starts, NaN where the baseline does not fall;
+    # the starts are its samples.
+    interval: RatioInterval
 
 
 NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
@@ -116,12 +115,10 @@ def measured_convergence(
         is_sooner = candidate_s < baseline_s
         p = float(np.mean(ratios * (1.0 + MARGIN) > 1.0 if is_sooner else ratios < 1.0 + MARGIN))
     target, status = float(np.sqrt(before[:, -1].mean())), _status(candidate_s if falls else baseline_s)
-    baseline_s, candidate_s = (
-        float(time) if _status(time) == ConvergenceStatus.REACHED else math.nan for time in (baseline_s, candidate_s)
-    )
+    baseline_s, candidate_s = (float(time) if 0.0 < time < np.inf else math.nan for time in (baseline_s, candidate_s))
     low, high, low90, high90 = bounds.tolist()
-    ratio = candidate_s / baseline_s
-    return MeasuredConvergence(target, baseline_s, candidate_s, status, ratio, low, high, low90, high90, p, starts)
+    interval = RatioInterval(candidate_s / baseline_s, low, high, low90, high90, float(starts), drawn_p=p)
+    return MeasuredConvergence(target, baseline_s, candidate_s, status, interval)
 
 
 def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
@@ -187,7 +184,75 @@ def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCur
     return curves
 
 
-# --- The table: predicted convergence, and the measured one next to it.
+# --- The tables: predicted improvement, and predicted convergence with the measured one next to it.
+
+
+def improvement_table(log: str, histories: tuple[History, ...]) -> list[ImprovementRow]:
+    """Compare the standard deviations at the end of the dive, for the states that each candidate has one of."""
+    baseline, *candidates = histories
+    rows = []
+    for candidate in candidates:
+        for state in predicted_states(candidate):
+            ends = baseline.sd[last_row(baseline, candidate)], candidate.sd[last_row(candidate, candidate)]
+            before, after = (float(sd[state.index]) / state.factor for sd in ends)
+            change_pct = improvement_pct(before, after)
+            status = ImprovementStatus.IMPROVED if change_pct > 0.0 else ImprovementStatus.WORSE
+            if not np.isfinite(change_pct):
+                status = ImprovementStatus.NOT_FINITE
+            elif abs(change_pct) < SAME_PCT:
+                status = ImprovementStatus.SAME
+            rows.append(
+                ImprovementRow(
+                    log=log,
+                    filter=candidate.filter,
+                    state=state.id,
+                    unit=state.unit,
+                    baseline_sd=before,
+                    sd=after,
+                    improvement_pct=change_pct,
+                    status=status,
+                )
+            )
+    return rows
+
+
+def predicted_states(history: History) -> list[State]:
+    """List those of the twelve states that a history has standard deviations of."""
+    predicted = history.believed if history.updated.any() else np.zeros(len(history.states), np.bool_)
+    return [state for state in STATES if predicted[state.index]]
+
+
+def last_row(history: History, candidate: History) -> int:
+    """Return the row of the last ping; next to a candidate that is partial, the last that it speaks of, too."""
+    return int(np.flatnonzero(history.updated & candidate.updated if candidate.is_partial else history.updated)[-1])
+
+
+def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:
+    """Average a table's improvement over the nine states without the velocity errors, as the paper does.
+
+    NaN for a candidate that lacks one of the nine. A state that did not improve counts 0.
+    """
+    rows = [row for row in table if row.filter == candidate and row.state in NINE_NAMES]
+    if any(row.status == ImprovementStatus.NOT_FINITE for row in rows):
+        return float("nan")
+    return _mean(finite(row.improvement_pct) for row in rows)
+
+
+def unchanged_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
+    """Average over the same states the improvement of a candidate that changes nothing."""
+    rows = [row for row in table if row.filter == candidate and row.state in NINE_NAMES]
+    return _mean(improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows)
+
+
+def nearest_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
+    """Average over the same states the improvement by the nearest approach, see `convergence.nearest_approach_s`."""
+    rows = [row for row in table if row.filter == candidate and row.state in NINE_NAMES]
+    return _mean(finite(row.nearest_approach_improvement_pct) for row in rows)
+
+
+def _mean(improvements_pct: Iterable[float]) -> float:
+    found = np.nan_to_num(list(improvements_pct))
+    return float(np.mean(found)) if len(found) == len(NINE) else float("nan")
 
 
 def convergence_table(
@@ -214,15 +279,21 @@ def convergence_table(
             faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else math.nan
             nearest_s = nearest_approach_s(time_s, sd, target)
             found = measured.get(candidate.filter, {}).get(state.id)
-            times = (math.nan, math.nan, math.nan, ConvergenceStatus.NOT_MEASURED)
-            if found is not None:
-                times = found.target / state.factor, found.baseline_s, found.candidate_s, found.status
             rows.append(
                 ConvergenceRow(
-                    *(log, candidate.filter, state.id, state.unit),
-                    *(target / state.factor, baseline_s, reached_s, faster_pct),
-                    status,
-                    *times,
+                    log=log,
+                    filter=candidate.filter,
+                    state=state.id,
+                    unit=state.unit,
+                    target_sd=target / state.factor,
+                    baseline_s=baseline_s,
+                    reached_s=reached_s,
+                    improvement_pct=faster_pct,
+                    status=status,
+                    measured_target=found.target / state.factor if found else math.nan,
+                    measured_baseline_s=found.baseline_s if found else math.nan,
+                    measured_s=found.candidate_s if found else math.nan,
+                    measured_status=found.status if found else ConvergenceStatus.NOT_MEASURED,
                     unchanged_s=unchanged_s,
                     nearest_approach_s=nearest_s,
                     nearest_approach_improvement_pct=improvement_pct(baseline_s, nearest_s),

@@ -26,15 +26,14 @@ from insdvl_replay.core.quantities import (
 from insdvl_replay.core.states import BA, PHI
 from insdvl_replay.core.tables import CredibilityRow
 from insdvl_replay.core.words import Consistency, Reason
-from insdvl_replay.evaluation.chi_square import (
+from insdvl_replay.evaluation.consistency import (
     CONFIDENCE,
-    FEWEST_UPDATES,
+    JudgedMean,
     chi_square_quantile,
-    consistency_verdict,
-    mean_interval,
+    judged_mean,
     probability_beyond_3_sd,
 )
-from insdvl_replay.evaluation.errors import errors_at
+from insdvl_replay.evaluation.reference_errors import errors_at
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.geometry.rotation import rpy_from_mat
 
@@ -44,7 +43,6 @@ reference, so that for a while the errors of a consistent one are smaller than i
 MANY_FAR_OFF: Final = 0.01
 """A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter."""
 LEVEL: Final = slice(PHI.start, PHI.stop - 1)
-UNKNOWN: Final = (np.nan, np.nan, np.nan, np.nan, np.nan)
 
 States = NDArray[np.int64]
 
@@ -158,24 +156,25 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
     for name in filters:
         if not errors:
             groups = [group for group, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start]
-            for quantity in (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT):
-                rows.append(CredibilityRow(log, name, quantity, 1, 0, *UNKNOWN, Consistency.NO_REFERENCE, np.nan))
+            nothing = JudgedMean(verdict=Consistency.NO_REFERENCE)
+            names = (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT)
+            rows += [_row(log, name, quantity, 1, 0, nothing) for quantity in names]
             continue
         in_n, in_vehicle = errors[name], about_vehicle(errors[name])
         n, has_sd = in_n.error.shape[1], in_n.has_sd
         ever: NDArray[np.bool_] = np.any(np.isfinite(in_n.error), axis=0)
-        each_in_n = np.array([_samples_of(in_n, state) for state in range(n)])
-        each_in_vehicle = each_in_n.copy()
-        each_in_vehicle[LEVEL] = [_samples_of(in_vehicle, state) for state in range(LEVEL.start, LEVEL.stop)]
+        samples = np.array([_samples_of(in_n, state) for state in range(n)])
+        samples_in_vehicle = samples.copy()
+        samples_in_vehicle[LEVEL] = [_samples_of(in_vehicle, state) for state in range(LEVEL.start, LEVEL.stop)]
         for state, quantity in enumerate((*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[:n]):
             if has_sd[state] and (state < BA.start or ever[state]):
-                rows.append(_row((log, name, quantity), in_vehicle, np.array([state]), each_in_vehicle))
+                rows.append(_judged_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle))
         # What stays the same in n turns with the vehicle from one of its axes to the other: a group would not show it.
         for group, states in ALL_CREDIBILITY_GROUPS.items():
             if has_sd[states].any() and (states.stop <= BA.start or ever[states].any()):
-                rows.append(_row((log, name, group), in_n, np.arange(states.start, states.stop), each_in_n))
+                rows.append(_judged_row(log, group, in_n, np.arange(states.start, states.stop), samples))
         if has_sd.any():
-            rows.append(_row((log, name, JOINT), in_n, np.flatnonzero(ever), each_in_n))
+            rows.append(_judged_row(log, JOINT, in_n, np.flatnonzero(ever), samples))
     return rows
 
 
@@ -192,40 +191,67 @@ def _samples_of(errors: StateErrors, state: int) -> float:
     return samples_in_mean_square(standardised) if len(standardised) and np.isfinite(standardised).all() else np.nan
 
 
-def _row(named: tuple[str, str, str], errors: StateErrors, states: States, samples_of_each: Floats) -> CredibilityRow:
+def _row(
+    log: str,
+    name: str,
+    quantity: str,
+    dof: int,
+    samples: int,
+    mean: JudgedMean,
+    shares_pct: tuple[float, float] = (np.nan, np.nan),  # within one and three standard deviations
+    independent: float = np.nan,
+) -> CredibilityRow:
+    return CredibilityRow(
+        log=log,
+        filter=name,
+        quantity=quantity,
+        dof=dof,
+        samples=samples,
+        mean_nees=mean.mean,
+        low=mean.low,
+        high=mean.high,
+        within_1sd_pct=shares_pct[0],
+        within_3sd_pct=shares_pct[1],
+        verdict=mean.verdict,
+        effective_samples=independent,
+        why=mean.why,
+    )
+
+
+def _judged_row(
+    log: str,
+    quantity: str,
+    errors: StateErrors,
+    states: States,
+    samples_of_each: Floats,  # (n,), see `_samples_of`
+) -> CredibilityRow:
     """Judge the errors of some states together."""
     standardised, cov = _standardised(errors, states)
     samples, dof = standardised.shape
     if not samples or not np.isfinite(standardised).all():
         word = Consistency.NOT_FINITE if samples else Consistency.NOT_IN_REFERENCE
-        return CredibilityRow(*named, dof, samples, *UNKNOWN, word, np.nan)
+        return _row(log, errors.filter, quantity, dof, samples, JudgedMean(verdict=word))
 
     # How many samples the errors are worth that hang on those of other states, which may be slower. What a share s of
     # the variance hangs on is the same in all of the dive, or in as much of it as makes one sample of the other state:
     # of squared correlations s^2 are those of the other state, the rest those of the errors. P says what hangs on it;
     # how much the errors show of it depends on how large the other one happens to be. An unknown bias, which hardly
     # changes, is as slow as the slowest state that is known.
-    own = float(samples_of_each[states[0]]) if dof == 1 else samples_in_mean_square(standardised)
+    independent = float(samples_of_each[states[0]]) if dof == 1 else samples_in_mean_square(standardised)
     others = np.setdiff1d(np.arange(len(samples_of_each)), states)
-    independent = own
     if len(others):
         slowest = np.nanmin(samples_of_each) if np.isfinite(samples_of_each).any() else 1.0
         share = shared_variance(cov, states, others) ** 2
-        samples_of_others = np.where(np.isfinite(samples_of_each), samples_of_each, slowest)[others]
-        repeated = share / samples_of_others + (1.0 - share) / own
-        independent = float(1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / own))
+        repeated = share / np.nan_to_num(samples_of_each, nan=slowest)[others] + (1.0 - share) / independent
+        independent = float(1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / independent))
 
     squared = np.sum(standardised**2, axis=1)
-    mean_nees, (low, high) = float(squared.mean()), mean_interval(dof, independent)
+    mean = judged_mean(squared, dof, independent)
     # The ellipsoids that are exceeded as rarely as a normal variable exceeds one and three standard deviations.
-    bounds = [chi_square_quantile(float(chdtr(1, sigmas**2)), dof) for sigmas in (1.0, 3.0)]
-    near_pct, far_pct = (100.0 * float(np.mean(squared <= bound)) for bound in bounds)
-    word, why = consistency_verdict(mean_nees, low, high, dof)
-    beyond = 1.0 - far_pct / 100.0
-    if word != Consistency.OVERCONFIDENT and dof * independent < FEWEST_UPDATES:
-        # Few samples prove that errors are too large, but not that they are as they should be.
-        word, why = Consistency.INSUFFICIENT, Reason.NONE
-    elif word == Consistency.CONSERVATIVE and errors.exact_start:
+    near_pct, far_pct = (
+        100.0 * float(np.mean(squared <= chi_square_quantile(float(chdtr(1, sigmas**2)), dof))) for sigmas in (1.0, 3.0)
+    )
+    if mean.verdict == Consistency.CONSERVATIVE and errors.exact_start:
         # A filter starts on the reference: the misalignment that it allows for is not there, nor is what hangs on it,
         # such as a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are
         # too small are compared with the share of the variance that would be left if the attitude were known.
@@ -234,11 +260,11 @@ def _row(named: tuple[str, str, str], errors: StateErrors, states: States, sampl
             between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])
             both = whitened(np.swapaxes(between, 1, 2), cov[:, PHI, PHI])
             shared = float(np.nan_to_num(np.mean(np.sum(both**2, axis=(1, 2))) / dof))
-        left = FAR_SMALLER * (1.0 - shared) * dof
-        word, why = (Consistency.CONSISTENT, Reason.EXACT_START) if mean_nees >= left else (word, why)
+        if mean.mean >= FAR_SMALLER * (1.0 - shared) * dof:
+            mean = mean._replace(verdict=Consistency.CONSISTENT, why=Reason.EXACT_START)
+    beyond = 1.0 - far_pct / 100.0
     many_far_off = beyond >= MANY_FAR_OFF and probability_beyond_3_sd(beyond, independent) < 1.0 - CONFIDENCE
-    if word != Consistency.OVERCONFIDENT and many_far_off:
+    if mean.verdict != Consistency.OVERCONFIDENT and many_far_off:
         # More errors exceed 3 standard deviations than chance allows, and by enough to matter.
-        word, why = Consistency.OVERCONFIDENT, Reason.BEYOND_3_SD
-    numbers = mean_nees, low, high, near_pct, far_pct
-    return CredibilityRow(*named, dof, samples, *numbers, word, independent, why)
+        mean = mean._replace(verdict=Consistency.OVERCONFIDENT, why=Reason.BEYOND_3_SD)
+    return _row(log, errors.filter, quantity, dof, samples, mean, (near_pct, far_pct), independent)

@@ -20,7 +20,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import DriftRow, JumpRow, TrackFitRow
-from insdvl_replay.evaluation.errors import SHORTEST_M, DrawnErrors, ReferenceErrors, reference_distance_m
+from insdvl_replay.evaluation.reference_errors import SHORTEST_M, DrawnErrors, ReferenceErrors, reference_distance_m
 from insdvl_replay.evaluation.series import samples_in_mean, thinned
 from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, unexplained_m
 

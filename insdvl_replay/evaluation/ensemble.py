@@ -14,9 +14,9 @@ from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TruthColum
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import Consistency, Reason
-from insdvl_replay.evaluation.chi_square import FEWEST_UPDATES, consistency_verdict, mean_interval
+from insdvl_replay.evaluation.consistency import FEWEST_UPDATES, consistency_verdict, mean_interval
 from insdvl_replay.evaluation.credibility import nees, state_errors
-from insdvl_replay.evaluation.predicted import improvement_pct
+from insdvl_replay.evaluation.reference_errors import improvement_pct
 
 DOF: Final = len(STATES)  # Degrees of freedom of one NEES.
 SOON_S: Final = 1.5  # After an outage: with pings each second, after the second of them.

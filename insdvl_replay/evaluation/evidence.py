@@ -9,12 +9,12 @@ decides.
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
@@ -29,20 +29,26 @@ from insdvl_replay.core.quantities import (
     is_used,
 )
 from insdvl_replay.core.states import DEG, PHI
-from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow, finite
+from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow, Number, finite
 from insdvl_replay.core.words import Consistency, EvidenceWord
 from insdvl_replay.evaluation.convergence import MeasuredConvergence
 from insdvl_replay.evaluation.drift import (
     STEP_S,
-    Segments,
     course_errors,
     distance_segments,
     segment_drift,
     time_segments,
 )
-from insdvl_replay.evaluation.errors import WELL_COVERED, DrawnErrors, covered_share, reference_distance_m, where_known
+from insdvl_replay.evaluation.reference_errors import (
+    WELL_COVERED,
+    DrawnErrors,
+    covered_share,
+    reference_distance_m,
+    where_known,
+)
 from insdvl_replay.evaluation.series import (
     FEWEST_EFFECTIVE,
+    NOTHING,
     STRETCHES,
     RatioInterval,
     paired_ratio,
@@ -53,6 +59,7 @@ from insdvl_replay.evaluation.series import (
 from insdvl_replay.geometry.frames import north_east_down_m
 
 SEGMENTS_S: Final = (30.0, 60.0)
+DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
 """Quantities in which a heading that is off shows in the second order alone."""
 OF_STARTS: Final = ("level", "heading")  # Quantities that are judged from drawn starts alone.
@@ -98,40 +105,36 @@ def accuracy_errors(
 ) -> dict[str, SquaredErrors]:
     """Square the errors of one filter, by quantity of `quantities.ACCURACY`, in its order.
 
-    What the reference knows for less than `errors.WELL_COVERED` of the runs is left out.
+    What the reference knows for less than `reference_errors.WELL_COVERED` of the runs is left out.
     """
     time_ns, whole = drawn.time_ns, covered or drawn
     start_ns = int(whole.time_ns[0] - round(whole.time_s[0] * 1e9)) if len(whole.time_ns) else 0
+    span_s = (float(drawn.time_s[0]), float(drawn.time_s[-1])) if len(drawn.time_s) else (0.0, 0.0)
 
     def is_covered(columns: Floats) -> bool:
         known = np.asarray(np.isfinite(columns).all(axis=1))
-        if not known.any():
-            return False
-        return covered_share(whole.time_ns, known, start_ns, int(whole.time_ns[-1])) >= WELL_COVERED
-
-    def drift(segments: Segments) -> SquaredErrors:
-        # Both ends are the reference's.
-        drift_m = segment_drift(drawn, segments).horizontal_m
-        return SquaredErrors("m", drift_m**2, segments.steps, 2.0 * noise.position_m)
+        share = covered_share(whole.time_ns, known, start_ns, int(whole.time_ns[-1])) if known.any() else 0.0
+        return share >= WELL_COVERED
 
     found = {}
+    segments_of = {length_s: time_segments(time_ns, length_s) for length_s in SEGMENTS_S}
     if is_covered(whole.position_error_ned_m[0, :, :2]) and not bridged_gaps:
-        for length_s in SEGMENTS_S:
-            found[f"drift_{length_s:.0f}s"] = drift(time_segments(time_ns, length_s))
-        found["drift_100m"] = drift(distance_segments(time_ns, reference_distance_m(reference, time_ns)))
+        along = distance_segments(time_ns, reference_distance_m(reference, time_ns))
+        for name, segments in zip(
+            ("drift_30s", "drift_60s", "drift_100m"), (*segments_of.values(), along), strict=True
+        ):
+            drift_m, floor_m = segment_drift(drawn, segments).horizontal_m, 2.0 * noise.position_m  # of both ends
+            found[name] = SquaredErrors("m", drift_m**2, segments.steps, floor_m)
     if is_covered(whole.velocity_error_n[0, :, :2]):
-        along_mps, across_mps = course_errors(drawn, reference)
-        found["velocity_along"] = SquaredErrors("m/s", along_mps**2, 1, noise.velocity_mps)
-        found["velocity_across"] = SquaredErrors("m/s", across_mps**2, 1, noise.velocity_mps)
+        for name, error_mps in course_errors(drawn, reference)._asdict().items():
+            found[f"velocity_{name.removesuffix('_mps')}"] = SquaredErrors("m/s", error_mps**2, 1, noise.velocity_mps)
     if is_covered(whole.position_error_ned_m[0, :, 2:]) and not bridged_gaps:
-        segments = time_segments(time_ns)
-        down_m, floor_m = segment_drift(drawn, segments).down_m, math.sqrt(2.0) * noise.position_m
-        found["depth_60s"] = SquaredErrors("m", down_m**2, segments.steps, floor_m)
+        down_m, floor_m = segment_drift(drawn, segments_of[60.0]).down_m, math.sqrt(2.0) * noise.position_m
+        found["depth_60s"] = SquaredErrors("m", down_m**2, segments_of[60.0].steps, floor_m)
     if len(drawn.error) >= FEWEST_STARTS and is_covered(whole.error[0, :, PHI]):
         squared = (drawn.error[:, :, PHI] / DEG) ** 2
         for quantity, square in zip(OF_STARTS, (squared[..., :2].mean(axis=-1), squared[..., 2]), strict=True):
             found[quantity] = SquaredErrors("deg", square[1:], 1, noise.attitude_deg, square[0])
-    span_s = (float(drawn.time_s[0]), float(drawn.time_s[-1])) if len(drawn.time_s) else (0.0, 0.0)
     return {name: errors._replace(span_s=span_s) for name, errors in found.items() if errors.squared.shape[1] > 1}
 
 
@@ -242,51 +245,85 @@ def evidence_table(
     """Compare each candidate with the baseline, piece by piece; the piece that decides first is in front."""
     rows: list[EvidenceRow] = []
     for candidate in candidates:
-        named = log, candidate
-        rows += _rows_of_squares((*named, "accuracy"), measured.accuracy.get(candidate, ({}, {})))
+        new = partial(_row, log, candidate)
+        rows += _rows_of_squares(partial(new, "accuracy"), measured.accuracy.get(candidate, ({}, {})))
+        drifts = measured.outage.get(candidate, {})
         for window, before in measured.outage.get(baseline, {}).items():
-            after = measured.outage.get(candidate, {}).get(window)
-            if after is not None and len(before):
-                interval = windows_ratio(before, after)
-                numbers = _rms(before**2), _rms(after**2), *_ends(interval)
-                word, why, about = word_of(interval), _why(interval), (*named, "outage", f"outage_{window}", "m")
-                rows.append(EvidenceRow(*about, *numbers, 1, len(before), word, interval.p, why))
-        rows += _rows_of_squares((*named, "held_out"), measured.held_out.get(candidate, ({}, {})))
+            if window in drifts and len(before):
+                interval, values = windows_ratio(before, drifts[window]), (_rms(before**2), _rms(drifts[window] ** 2))
+                why = _why(interval)
+                rows.append(new("outage", f"outage_{window}", "m", values, interval, windows=len(before), why=why))
+        rows += _rows_of_squares(partial(new, "held_out"), measured.held_out.get(candidate, ({}, {})))
+        converged = measured.convergence.get(candidate, {})
         for quantity, name in CONVERGED.items():
-            found = measured.convergence.get(candidate, {}).get(name)
-            if found is not None:
-                ends = found.ratio, found.low, found.high, found.low90, found.high90
-                interval = RatioInterval(*ends, float(found.starts), drawn_p=found.p)
-                numbers, word = (found.baseline_s, found.candidate_s, *_ends(interval)), _word_of_convergence(interval)
-                about = *named, "convergence", f"convergence_{quantity}", "s"
-                rows.append(EvidenceRow(*about, *numbers, found.starts, 0, word, interval.p))
-        for quantity, (off, now_off) in measured.track.get(candidate, {}).items():
+            if (found := converged.get(name)) is not None:
+                # A few of the drawn starts may make other times: such are no equal ones, either.
+                interval, word = found.interval, word_of(found.interval)
+                decisive = (interval.low, interval.high) if word == EvidenceWord.EQUIVALENT else (interval.ratio,)
+                near = all(1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER for ratio in decisive)
+                word = word if near == (word == EvidenceWord.EQUIVALENT) else EvidenceWord.UNDECIDED
+                values, starts = (found.baseline_s, found.candidate_s), int(interval.effective_samples)
+                rows.append(
+                    new("convergence", f"convergence_{quantity}", "s", values, interval, word=word, starts=starts)
+                )
+        for quantity, values in measured.track.get(candidate, {}).items():
             # One sample, which decides nothing alone.
-            numbers = off, now_off, now_off / off if off > 0.0 else math.nan, math.nan, math.nan, 1.0
-            about = *named, "track", quantity, TRACK[quantity][0]
-            rows.append(EvidenceRow(*about, *numbers, 1, 0, EvidenceWord.UNDECIDED))
-        rows += _consistency_rows(named, baseline, consistency, credibility, candidate in measured.partial)
+            ratio = values[1] / values[0] if values[0] > 0.0 else math.nan
+            interval = NOTHING._replace(ratio=ratio, effective_samples=1.0)
+            rows.append(new("track", quantity, TRACK[quantity][0], values, interval))
+        is_partial = candidate in measured.partial
+        sizes_of = _consistency_sizes(baseline, candidate, consistency, credibility, is_partial)
+        for quantity, sizes in sizes_of.items():
+            off, now = (
+                max((found for found in sizes if found.filter == name), key=lambda found: found.order, default=None)
+                for name in (baseline, candidate)
+            )
+            if off and now and math.isfinite(off.size) and math.isfinite(now.size):
+                ratio, word = _more_consistent(off, now)
+                interval = NOTHING._replace(ratio=ratio, effective_samples=math.nan)
+                rows.append(new(CONSISTENT, quantity, "", (off.size, now.size), interval, word=word))
     return rows
 
 
-def without_words(rows: Sequence[EvidenceRow], not_evaluated: Collection[str]) -> list[EvidenceRow]:
-    """Take the words from the evidence on candidates that are not evaluated: no gate on them may pass."""
-    return [replace(row, word="") if row.filter in not_evaluated else row for row in rows]
+def _row(
+    log: str,
+    candidate: str,
+    evidence: str,
+    quantity: str,
+    unit: str,
+    values: tuple[float, float],  # of the baseline and of the candidate
+    interval: RatioInterval,
+    *,
+    word: EvidenceWord | None = None,  # if not that of the interval
+    starts: int = 1,
+    windows: int = 0,
+    why: str = "",
+) -> EvidenceRow:
+    return EvidenceRow(
+        log=log,
+        filter=candidate,
+        evidence=evidence,
+        quantity=quantity,
+        unit=unit,
+        baseline=values[0],
+        value=values[1],
+        ratio=interval.ratio,
+        low=interval.low,
+        high=interval.high,
+        effective_samples=interval.independent,
+        starts=starts,
+        windows=windows,
+        word=word or word_of(interval),
+        p=None if math.isnan(interval.low) else interval.p,
+        why=why,
+    )
 
 
-def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
-    """Take the word *better* from evidence on a filter that a sensor surprises."""
-    return [replace(row, word=EvidenceWord.UNDECIDED) if row.word == EvidenceWord.BETTER else row for row in rows]
-
-
-def _rows_of_squares(named: tuple[str, str, str], pair: Pair) -> Iterator[EvidenceRow]:
+def _rows_of_squares(new: Callable[..., EvidenceRow], pair: Pair) -> Iterator[EvidenceRow]:
     """Compare squared errors; a run with a start of its own is compared with the baseline's drawn starts."""
     shortest: RatioInterval | None = None
-    for quantity, before in pair[0].items():
-        if (after := pair[1].get(quantity)) is None:
-            continue
-        starts, windows = before.squared.shape
-        largest = max(_rms(before.squared), _rms(after.squared))
+    for quantity in (name for name in pair[0] if name in pair[1]):
+        before, after = (errors[quantity] for errors in pair)
         interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
         if quantity.startswith("drift"):
             # Longer segments smear one stretch over its neighbours: the shortest ones tell for all.
@@ -295,16 +332,16 @@ def _rows_of_squares(named: tuple[str, str, str], pair: Pair) -> Iterator[Eviden
                 samples = min(interval.effective_samples, shortest.effective_samples)
                 interval = interval._replace(effective_samples=samples, stretch=shortest.stretch)
         # A word is kept where not all is the noise of the reference, and equivalence where hardly anything is.
-        word, share = word_of(interval), before.floor / largest if largest else math.inf
-        why = _why(interval, before.span_s)
-        share = share if interval.low < interval.high else 0.0
-        if share >= 1.0 or (share > NOISY and word == EvidenceWord.EQUIVALENT):
+        word, why = word_of(interval), _why(interval, before.span_s)
+        noise, largest = before.floor, max(_rms(before.squared), _rms(after.squared))
+        noisy = noise >= largest or (noise > NOISY * largest and word == EvidenceWord.EQUIVALENT)
+        if noisy and interval.low < interval.high:
             why = why or (NOISE_OF_REFERENCE if word != EvidenceWord.UNDECIDED else "")
             word = EvidenceWord.UNDECIDED
-        own = [errors.squared[0] if errors.own is None else errors.own for errors in (before, after)]
-        known = np.isfinite(own[0]) & np.isfinite(own[1])
-        numbers = _rms(own[0][known]), _rms(own[1][known]), *_ends(interval)
-        yield EvidenceRow(*named, quantity, before.unit, *numbers, starts, windows, word, interval.p, why)
+        start_sq = [errors.squared[0] if errors.own is None else errors.own for errors in (before, after)]
+        known = np.isfinite(start_sq[0]) & np.isfinite(start_sq[1])
+        values, (starts, windows) = (_rms(start_sq[0][known]), _rms(start_sq[1][known])), before.squared.shape
+        yield new(quantity, before.unit, values, interval, word=word, starts=starts, windows=windows, why=why)
 
 
 def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> str:
@@ -318,18 +355,6 @@ def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> s
     return f"nearly all of it from {begun_s:.0f} to {begun_s + stretch_s:.0f} s, which is one sample"
 
 
-def _word_of_convergence(interval: RatioInterval) -> EvidenceWord:
-    """Return the word on times of which a few of the drawn starts may make others: such are no equal ones, either."""
-    word = word_of(interval)
-    decisive = (interval.low, interval.high) if word == EvidenceWord.EQUIVALENT else (interval.ratio,)
-    near = all(1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER for ratio in decisive)
-    return word if near == (word == EvidenceWord.EQUIVALENT) else EvidenceWord.UNDECIDED
-
-
-def _ends(interval: RatioInterval) -> tuple[float, float, float, float]:
-    return interval.ratio, interval.low, interval.high, interval.independent
-
-
 def _rms(squared: Floats) -> float:
     known = squared[np.isfinite(squared)]
     return math.sqrt(float(known.mean())) if known.size else math.nan
@@ -338,55 +363,65 @@ def _rms(squared: Floats) -> float:
 # --- Consistency as evidence; it has no weight for gain.
 
 
-def _consistency_rows(
-    named: tuple[str, str],
+_RANK: Final[Mapping[str, int]] = {word: rank for rank, word in enumerate(VERDICTS_BEST_FIRST)}
+
+
+class _Size(NamedTuple):
+    """A mean NIS or NEES over its degrees of freedom, of which 1 is expected, and its verdict."""
+
+    filter: str
+    size: float
+    verdict: str
+
+    @staticmethod
+    def of_mean(row: ConsistencyRow | CredibilityRow, mean: Number) -> "_Size":
+        return _Size(row.filter, finite(mean) / row.dof if row.dof else math.nan, row.verdict)
+
+    @property
+    def order(self) -> tuple[int, float]:
+        """The worst verdict is last, and of those the largest size.
+
+        Small ones say less: a filter starts on the reference, and what it keeps of that is as small as it happens to
+        be.
+        """
+        return _RANK.get(self.verdict, -1), -1.0 if math.isnan(self.size) else self.size
+
+
+def _consistency_sizes(
     baseline: str,
+    candidate: str,
     consistency: Sequence[ConsistencyRow],
     credibility: Sequence[CredibilityRow],
     is_partial: bool,
-) -> Iterator[EvidenceRow]:
-    """Compare how far the mean NIS, and the mean NEES, is from what each filter expects.
+) -> dict[str, list[_Size]]:
+    """Return what represents the filters: their worst measurement, and their worst group of states.
 
-    The worst measurement, and group of states, represents a filter; next to a partial solution, of the groups that it
-    tells. Of the candidate's further sensors those count in which it is overconfident.
+    Of the candidate's further sensors those count in which it is overconfident; of a partial solution the groups that
+    it has.
     """
     shared = {row.measurement for row in consistency if row.filter == baseline}
-    told = {row.quantity for row in credibility if row.filter == named[1]}
-    groups = told & set(ALL_CREDIBILITY_GROUPS) if is_partial else ALL_CREDIBILITY_GROUPS
-    sizes = {
+    given = {row.quantity for row in credibility if row.filter == candidate}
+    groups = given & set(ALL_CREDIBILITY_GROUPS) if is_partial else ALL_CREDIBILITY_GROUPS
+    return {
         "nis": [
-            (row.filter, row.mean_nis, row.dof, row.verdict)
+            _Size.of_mean(row, row.mean_nis)
             for row in consistency
             if is_used(row.measurement) and (row.measurement in shared or row.verdict == Consistency.OVERCONFIDENT)
         ],
-        "nees": [(row.filter, row.mean_nees, row.dof, row.verdict) for row in credibility if row.quantity in groups],
+        "nees": [_Size.of_mean(row, row.mean_nees) for row in credibility if row.quantity in groups],
     }
-    for quantity, found in sizes.items():
-        worst = []
-        for name in (baseline, named[1]):
-            # Of the worst verdicts the largest mean over its degrees of freedom, of which 1 is expected. Small ones say
-            # less: a filter starts on the reference, and what it keeps of that is as small as it happens to be.
-            ranked = [(-1, -1.0, math.nan, "")]
-            for owner, mean, dof, verdict in found:
-                size, rank = finite(mean) / dof if dof else math.nan, -1
-                if verdict in VERDICTS_BEST_FIRST:
-                    rank = VERDICTS_BEST_FIRST.index(Consistency(verdict))
-                if owner == name:
-                    ranked.append((rank, -1.0 if math.isnan(size) else size, size, verdict))
-            worst.append(max(ranked, key=lambda row: row[:2]))
-        (rank, _, before, was), (new_rank, _, after, now) = worst
-        if not (math.isfinite(before) and math.isfinite(after)):
-            continue
-        off, new_off = (abs(math.log(size)) if size > 0.0 else math.inf for size in (before, after))
-        # A candidate is not more consistent for being overconfident instead.
-        ratio, word, becomes_worse = math.exp(new_off - off), EvidenceWord.EQUIVALENT, new_rank > rank
-        if Consistency.INSUFFICIENT in (was, now):
-            word = EvidenceWord.UNDECIDED
-        elif was == now == Consistency.CONSERVATIVE:
-            word = EvidenceWord.EQUIVALENT  # both promise less than they keep
-        elif ratio < 1.0 / NOTABLY and was != Consistency.CONSISTENT and not becomes_worse:
-            word = EvidenceWord.BETTER
-        elif now != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
-            word = EvidenceWord.WORSE
-        numbers = before, after, ratio, math.nan, math.nan, math.nan
-        yield EvidenceRow(*named, CONSISTENT, quantity, "", *numbers, 1, 0, word)
+
+
+def _more_consistent(before: _Size, after: _Size) -> tuple[float, EvidenceWord]:
+    """Compare how far the sizes are from 1; no candidate is more consistent for being overconfident instead."""
+    off, new_off = (abs(math.log(found.size)) if found.size > 0.0 else math.inf for found in (before, after))
+    ratio, becomes_worse = math.exp(new_off - off), after.order[0] > before.order[0]
+    if Consistency.INSUFFICIENT in (before.verdict, after.verdict):
+        return ratio, EvidenceWord.UNDECIDED
+    if before.verdict == after.verdict == Consistency.CONSERVATIVE:
+        return ratio, EvidenceWord.EQUIVALENT  # both promise less than they keep
+    if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not becomes_worse:
+        return ratio, EvidenceWord.BETTER
+    if after.verdict != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
+        return ratio, EvidenceWord.WORSE
+    return ratio, EvidenceWord.EQUIVALENT

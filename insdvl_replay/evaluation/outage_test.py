@@ -16,8 +16,8 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, is_new, se
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import OUTAGE_WINDOWS_S
 from insdvl_replay.core.tables import OutageRow, finite
-from insdvl_replay.evaluation.chi_square import chi_square_quantile
-from insdvl_replay.evaluation.errors import SHORTEST_M
+from insdvl_replay.evaluation.consistency import chi_square_quantile
+from insdvl_replay.evaluation.reference_errors import SHORTEST_M
 from insdvl_replay.evaluation.series import windows_ratio
 
 BURN_IN_S: Final = 100  # Drift does not describe a filter that still finds its start.

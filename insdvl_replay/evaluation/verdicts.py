@@ -2,13 +2,16 @@
 
 What was measured comes first, by the words of each piece of evidence. That a filter predicts smaller errors is a second
 statement, which what was measured confirms or not; whether its innovations and errors are as large as it says is a
-third. Filters that diverged or are misconfigured are not evaluated, and no candidate is next to such a baseline.
+third. Filters that diverged or are misconfigured are not evaluated, and no candidate is next to such a baseline. Of
+several dives each is one pair, however long it is; they are judged as one dive is, by the same words.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import numpy as np
+from msgspec.structs import replace
 from scipy.special import chdtrc
 
 from insdvl_replay.core.dive_columns import NS_PER_S
@@ -18,6 +21,8 @@ from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     CONSISTENT,
     DECIDING,
+    DECIDING_TOGETHER,
+    EVIDENCE_QUANTITIES,
     IS_REFERENCE,
     VERDICTS_BEST_FIRST,
     is_beam,
@@ -37,32 +42,31 @@ from insdvl_replay.core.tables import (
 )
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
-from insdvl_replay.evaluation.errors import ReferenceErrors
-from insdvl_replay.evaluation.evidence import nothing_better
+from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
-from insdvl_replay.evaluation.predicted import mean_over_nine, nearest_over_nine, unchanged_over_nine
-from insdvl_replay.evaluation.series import RatioInterval, what_settles
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors
+from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, what_settles, word_of
 
 NOTABLE_PCT: Final = 5.0  # A smaller gain is not spoken of as a predicted one.
 CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be measured.
+# Quantities whose median change stands for the error against the reference.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
-"""Quantities whose median change stands for the error against the reference."""
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
+# From fewer drawn starts nothing is said of what is predicted: it is mostly that errors of the start wear off.
 FEWEST_STARTS: Final = 8
-"""From fewer drawn starts nothing is said of what is predicted: it is mostly that errors of the start wear off."""
 MANY_TIMES: Final = 3.0  # From here on, nobody reads percent.
 MOST_NAMED: Final = 2  # So many pieces of evidence are in the sentence with their numbers; the others are in the table.
 MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
 FEW: Final = 2  # So many rejections prove nothing, in however short a dive.
+# Innovations three times as large as a filter says come from what it does not know of: axes, units, clocks.
 LARGEST_NIS_PER_DOF: Final = 10.0
-"""Innovations three times as large as a filter says come from what it does not know of: axes, units, clocks."""
+# Percent of the distance, while the DVL is there; dead reckoning by a DVL without any INS drifts less.
 FARTHEST_PCT: Final = 20.0
-"""Of the distance, while the DVL is there; dead reckoning by a DVL without any INS drifts less."""
+# Notes on columns that cannot all be right.
 CONTRADICTIONS: Final = (
     "beam_contradiction", "dvl_contradiction", "dvl_direction", "imu_gyro_contradiction", "imu_gyro_sign",
     "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
 )  # fmt: skip
-"""Notes on columns that cannot all be right."""
 SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
 ON_PREDICTION: Final = {
     Belief.CONFIRMED: ", and that is confirmed",
@@ -76,14 +80,14 @@ AGAINST: Final = {
     Judgement.EQUIVALENT: "is as good as",
     Judgement.UNDECIDED: "is undecided against",
 }
+EVERY_DIVE: Final = "*"  # In place of a dive's name.
+FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
+
+Piece = EvidenceRow | PooledRow  # one piece of evidence, of one dive or of several
+P = TypeVar("P", bound=Piece)
 
 
 # --- The words of tables, taken together.
-
-
-Piece = EvidenceRow | PooledRow
-"""One piece of evidence, of one dive or of several."""
-P = TypeVar("P", bound=EvidenceRow | PooledRow)
 
 
 def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Judgement:
@@ -95,29 +99,14 @@ def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) ->
     return Judgement.EQUIVALENT if words and words[0] == EvidenceWord.EQUIVALENT else Judgement.UNDECIDED
 
 
-def belief_of(predicted_pct: float, rows: Sequence[EvidenceRow]) -> Belief:
-    """Return whether at least half of what is predicted was measured; undecided where the interval holds both."""
-    measured = [row for row in rows if row.evidence == "accuracy" and row.ratio is not None]
-    if not (measured and predicted_pct >= NOTABLE_PCT and max(row.starts for row in measured) >= FEWEST_STARTS):
-        return Belief.UNDECIDED
-    least_pct, most_pct = (
-        100.0 * (1.0 - float(np.median([finite(getattr(row, end)) for row in measured]))) for end in ("high", "low")
-    )
-    if least_pct >= CONFIRMED * predicted_pct:
-        return Belief.CONFIRMED
-    return Belief.NOT_CONFIRMED if most_pct < CONFIRMED * predicted_pct else Belief.UNDECIDED
-
-
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
     """Return the worst verdict among a filter's measurements.
 
     Axes do not count: of eight tests one fails by chance in every third consistent filter.
     """
     words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
-    return next(
-        (word for word in WORST_FIRST if word in words),
-        Consistency.INSUFFICIENT if words else Consistency.NOT_AVAILABLE,
-    )
+    otherwise = Consistency.INSUFFICIENT if words else Consistency.NOT_AVAILABLE
+    return next((word for word in WORST_FIRST if word in words), otherwise)
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
@@ -126,14 +115,10 @@ def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
     All states together may be consistent with roll and pitch far off, below velocities that hardly err. Where no group
     could be compared, what the first says of that is returned.
     """
-    words = [row.verdict for row in _groups(table, filter_name)]
-    if table and not any(row.filter == filter_name for row in table):
-        return Consistency.NOT_AVAILABLE
-    return next((word for word in WORST_FIRST if word in words), next(iter(words), Consistency.NO_REFERENCE))
-
-
-def _groups(table: Sequence[CredibilityRow], filter_name: str) -> list[CredibilityRow]:
-    return [row for row in table if row.filter == filter_name and row.quantity in ALL_CREDIBILITY_GROUPS]
+    own = [row for row in table if row.filter == filter_name]
+    words = [row.verdict for row in own if row.quantity in ALL_CREDIBILITY_GROUPS]
+    otherwise = next(iter(words), Consistency.NO_REFERENCE if own or not table else Consistency.NOT_AVAILABLE)
+    return next((word for word in WORST_FIRST if word in words), otherwise)
 
 
 # --- Filters that are not evaluated.
@@ -150,24 +135,21 @@ def not_evaluated(
     That one of the two alone is far off is for the evidence to say, and so is a surprised baseline. A candidate whose
     own innovations are far too large is worse or is not evaluated.
     """
-    baseline, *candidates = (history.filter for history in histories)
     # Filters that are aided by the reference's own readings, or made of it: errors against it say nothing. Depth has no
     # vote, and the rest of the reference is as good as before.
     shared = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
-    unfit: dict[str, str] = {}
+    unfit, misled = dict[str, str](), dict[str, str]()
     for history in histories:
-        if f"solution_{history.filter}" in shared:
-            unfit[history.filter] = f"{history.filter} is, or may know, the reference"
-        for sensor in (met.measurement for met in history.innovations):
-            if sensor in shared - {"depth"}:
-                unfit[history.filter] = f"{history.filter} is aided by the {sensor} that the reference is made of"
+        name = history.filter
+        if f"solution_{name}" in shared:
+            unfit[name] = f"{name} is, or may know, the reference"
+        for sensor in (met.measurement for met in history.innovations if met.measurement in shared - {"depth"}):
+            unfit[name] = f"{name} is aided by the {sensor} that the reference is made of"
+        if found := surprised(name, tables.consistency) or far_off(history, histories[0], errors, tables):
+            misled[name] = found
     unfit |= diverged_filters(histories)
     contradicted = "; ".join(note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning")
-    misled = {
-        history.filter: found
-        for history in histories
-        if (found := surprised(history.filter, tables.consistency) or far_off(history, histories[0], errors, tables))
-    }
+    baseline, *candidates = (history.filter for history in histories)
     unsound = {}
     for candidate in candidates:
         pair = baseline, candidate
@@ -178,6 +160,11 @@ def not_evaluated(
         if reason := contradicted or " and ".join(wrong) or too_large:
             unsound[candidate] = reason
     return unsound
+
+
+def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
+    """Take the word *better* from evidence on a filter that a sensor surprises."""
+    return [replace(row, word=EvidenceWord.UNDECIDED) if row.word == EvidenceWord.BETTER else row for row in rows]
 
 
 def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
@@ -196,34 +183,31 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
         if not known.all():
             first_s = (history.time_ns[np.argmin(known)] - history.time_ns[0]) / NS_PER_S
             found[name] = f"the state of {name} is not finite from {first_s:.1f} s on"
-        if not known.all() or not used:
-            continue
-        # It depends on the pings of the beams, else on the velocities, else on what it is aided by first. A ping is
-        # rejected where all beams that were heard are; by chance, at most as one is.
-        beams = [met for met in used if is_beam(met.measurement)]
-        lead = next((met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0])
-        by_chance = float(chdtrc(lead.dof, lead.gate))
-        lost, measurement = rejected(lead), f"{lead.measurement} innovations"
-        if beams:
-            times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
-            lost, measurement = np.ones(len(times), np.bool_), "pings"
-            lost[ping[~np.concatenate([rejected(beam) for beam in beams])]] = False
-        count, total, reopened = int(lost.sum()), len(lost), len(history.reopened_ns)
-        if count > max(FEW, (MANY_REJECTED + by_chance) * total):
-            found[name] = f"{name} rejected {count} of {total} {measurement}"
-        elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
-            # It is not thrown off once, but errs all the time, and is saved from itself every so often.
-            found[name] = f"{name} lost its way {reopened} times in {total} {measurement}"
+        elif used:
+            # It depends on the pings of the beams, else on the velocities, else on what it is aided by first. A ping is
+            # rejected where all beams that were heard are; by chance, at most as one is.
+            beams = [met for met in used if is_beam(met.measurement)]
+            lead = next((met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0])
+            by_chance = float(chdtrc(lead.dof, lead.gate))
+            lost, measurement = rejected(lead), f"{lead.measurement} innovations"
+            if beams:
+                times, ping = np.unique(np.concatenate([beam.time_ns for beam in beams]), return_inverse=True)
+                lost, measurement = np.ones(len(times), np.bool_), "pings"
+                lost[ping[~np.concatenate([rejected(beam) for beam in beams])]] = False
+            count, total, reopened = int(lost.sum()), len(lost), len(history.reopened_ns)
+            if count > max(FEW, (MANY_REJECTED + by_chance) * total):
+                found[name] = f"{name} rejected {count} of {total} {measurement}"
+            elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
+                # It is not thrown off once, but errs all the time, and is saved from itself every so often.
+                found[name] = f"{name} lost its way {reopened} times in {total} {measurement}"
     return found
 
 
 def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
     """Name a sensor whose innovations are far larger than the filter that it aids expects; empty if there is none."""
-    for row in rows:
-        if row.filter == name and is_used(row.measurement) and finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof:
-            mean_nis = finite(row.mean_nis)
-            return f"the {row.measurement} innovations of {name} have NIS {mean_nis:.3g}, {row.dof} is right"
-    return ""
+    far = (row for row in rows if finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof and is_used(row.measurement))
+    row = next((row for row in far if row.filter == name), None)
+    return f"the {row.measurement} innovations of {name} have NIS {row.mean_nis:.3g}, {row.dof} is right" if row else ""
 
 
 def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables) -> str:
@@ -231,11 +215,12 @@ def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceE
 
     If the DVL is silent for more than half of the time, all of the error counts.
     """
-    rows = [row for row in tables.reference_error if row.quantity == "position_h_pct"]
-    if history.filter not in errors or not any(row.status == ReferenceStatus.COMPARED for row in rows):
+    statuses = [row.status for row in tables.reference_error if row.quantity == "position_h_pct"]
+    if history.filter not in errors or ReferenceStatus.COMPARED not in statuses:
         return ""
+    found = errors[history.filter]
     pings = [met.time_ns for met in baseline.innovations if met.measurement == "velocity" or is_beam(met.measurement)]
-    found, ping_ns = errors[history.filter], np.unique(np.concatenate(pings)) if pings else np.empty(0, np.int64)
+    ping_ns = np.unique(np.concatenate(pings)) if pings else np.empty(0, np.int64)
     known = np.isfinite(found.position_error_ned_m[:, :2]).all(axis=1)
     time_ns = np.append(baseline.time_ns[0], found.time_ns[known])
     steps_m = np.diff(found.position_error_ned_m[known, :2], axis=0, prepend=[[0.0, 0.0]])
@@ -252,7 +237,35 @@ def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceE
     return f"{history.filter} is off by {error_pct:.3g} % of the distance" if error_pct > FARTHEST_PCT else ""
 
 
-# --- The verdict in words.
+# --- The verdict on one dive.
+
+
+def judged_candidates(
+    histories: tuple[History, ...],  # the first is the baseline
+    errors: Mapping[str, ReferenceErrors],  # by filter; empty without a reference
+    tables: Tables,
+    notes: Sequence[Note],  # of the dive
+    *,
+    independent: bool,  # whether the reference shares no sensors with the filters
+) -> tuple[Tables, dict[str, Candidate]]:
+    """Judge each candidate by the evidence in the tables; those that are not evaluated lose their words there."""
+    baseline, *candidates = (history.filter for history in histories)
+    unsound = not_evaluated(histories, errors, tables, notes)
+    by_depth = {
+        history.filter
+        for history in histories
+        if any(note.code == f"depth{IS_REFERENCE}" for note in notes)
+        and any(met.measurement == "depth" for met in history.innovations)
+    }
+    evidence = []
+    for name in candidates:
+        # Depth is no evidence where a filter is aided by the depth that the reference is made of.
+        left_out = "depth" if by_depth & {baseline, name} else ""
+        rows = [row for row in tables.evidence if row.filter == name and row.quantity != left_out]
+        rows = nothing_better(rows) if surprised(name, tables.consistency) else rows
+        evidence += [replace(row, word="") for row in rows] if name in unsound else rows  # no gate on them may pass
+    tables = replace(tables, evidence=evidence)
+    return tables, verdicts(tables, baseline, candidates, unsound, independent=independent)
 
 
 def verdicts(
@@ -268,46 +281,25 @@ def verdicts(
     for candidate in candidates:
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
-        wrong = unsound.get(candidate, "")
         judgement, belief = Judgement.NOT_EVALUATED, Belief.UNDECIDED
-        measured = f"{candidate} is NOT EVALUATED against {baseline}: {wrong}; settle that first"
-        if not wrong:
-            judgement, belief = judgement_of(evidence), belief_of(predicted_pct, evidence)
-            measured = _measured(candidate, baseline, judgement, evidence)
-            # What is predicted; nothing of a solution that says nothing of that.
-            told = {row.state for row in tables.improvement if row.filter == candidate}
-            if not told >= {state.id for state in NINE}:
-                measured += ". It says how sure it is of some states alone" if told else ""
-            elif not np.isfinite(predicted_pct):
-                measured += ". It believes in nothing finite"
-            elif abs(predicted_pct) < NOTABLE_PCT:
-                measured += f". It believes in errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
-            else:
-                size = "smaller" if predicted_pct > 0 else "larger"
-                measured += f". It believes in {abs(predicted_pct):.1f} % {size} errors"
-            # Whether that is confirmed; that there is no reference is said of the dive, once.
-            starts = [row.starts for row in evidence if row.evidence == "accuracy"]
-            if predicted_pct >= NOTABLE_PCT and has_reference and not starts:
-                measured += ", and the reference does not tell whether that is so"
-            elif predicted_pct >= NOTABLE_PCT and has_reference and max(starts) < FEWEST_STARTS:
-                measured += f", and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
-            elif predicted_pct >= NOTABLE_PCT and has_reference:
-                measured += ON_PREDICTION[belief]
-        trust = trust_sentence(tables, candidate, baseline)
-        shared = "" if independent or not has_reference else f" {SHARED}"
+        measured = f"{candidate} is NOT EVALUATED against {baseline}: {unsound.get(candidate)}; settle that first"
+        if candidate not in unsound:
+            judgement = judgement_of(evidence)
+            belief, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
+            measured = f"{candidate} {AGAINST[judgement]} {baseline}: {_measured(judgement, evidence)}{predicted}"
         changes = [
             finite(row.improvement_pct)
             for row in tables.reference_error
             if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
         ]
-        known = [change for change in changes if np.isfinite(change)]
+        shared = "" if independent or not has_reference else f" {SHARED}"
         judged[candidate] = Candidate(
-            verdict=f"{measured}. {trust}{shared}",
+            verdict=f"{measured}. {trust_sentence(tables, candidate, baseline)}{shared}",
             improvement=judgement,
             consistency=consistency_of(tables.consistency, candidate),
             mean_improvement_pct=predicted_pct,
             mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
-            reference_improvement_pct=float(np.median(known)) if known else float("nan"),
+            reference_improvement_pct=_median(changes),
             credibility=credibility_of(tables.credibility, candidate),
             belief=belief,
             mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
@@ -316,53 +308,96 @@ def verdicts(
     return judged
 
 
-def _measured(candidate: str, baseline: str, judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
+def _median(numbers: Iterable[float]) -> float:
+    known = [number for number in numbers if np.isfinite(number)]
+    return float(np.median(known)) if known else float("nan")
+
+
+def _prediction(
+    predicted_pct: float,
+    baseline: str,
+    candidate: str,
+    tables: Tables,
+    evidence: Sequence[EvidenceRow],
+    has_reference: bool,
+) -> tuple[Belief, str]:
+    """Say what a candidate predicts, and whether at least half of that was measured; undecided if both are possible."""
+    given = {row.state for row in tables.improvement if row.filter == candidate}
+    if not given >= {state.id for state in NINE}:
+        return Belief.UNDECIDED, ". It says how sure it is of some states alone" if given else ""
+    if not np.isfinite(predicted_pct):
+        return Belief.UNDECIDED, ". It believes in nothing finite"
+    if abs(predicted_pct) < NOTABLE_PCT:
+        same = f"errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
+        return Belief.UNDECIDED, f". It believes in {same}"
+    predicted = f". It believes in {abs(predicted_pct):.1f} % {'smaller' if predicted_pct > 0 else 'larger'} errors"
+    if predicted_pct < 0.0:
+        return Belief.UNDECIDED, predicted
+
+    belief, accuracy = Belief.UNDECIDED, [row for row in evidence if row.evidence == "accuracy"]
+    measured = [row for row in accuracy if row.ratio is not None]
+    if measured and max(row.starts for row in measured) >= FEWEST_STARTS:
+        least_pct, most_pct = (
+            100.0 * (1.0 - float(np.median([finite(end) for end in ends])))
+            for ends in ([row.high for row in measured], [row.low for row in measured])
+        )
+        if least_pct >= CONFIRMED * predicted_pct:
+            belief = Belief.CONFIRMED
+        elif most_pct < CONFIRMED * predicted_pct:
+            belief = Belief.NOT_CONFIRMED
+    if not has_reference:  # which is said of the dive, once
+        return belief, predicted
+    if not accuracy:
+        return belief, f"{predicted}, and the reference does not tell whether that is so"
+    if max(row.starts for row in accuracy) < FEWEST_STARTS:
+        return belief, f"{predicted}, and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
+    return belief, predicted + ON_PREDICTION[belief]
+
+
+def _measured(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
     """Say what was measured, by the pieces of evidence that decided, or those that could have."""
     pieces = []
     for row in spoken_of(judgement, evidence):
-        ratio, piece = finite(row.ratio), changed(row.quantity, finite(row.ratio))
-        if np.isfinite(ratio):
+        piece = changed(row.quantity, finite(row.ratio))
+        if np.isfinite(finite(row.ratio)):
             values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
             interval, why = interval_in_words(row.ratio, row.low, row.high), f"; {row.why}" if row.why else ""
             piece = f"{piece} (this dive: {values}; 95 % on this dive: {interval}{why})"
         pieces.append(piece)
     left = left_undecided(judgement, evidence)
     undecided = [row for row in evidence if row.quantity in DECIDING and not row.why]
-    if judgement == Judgement.UNDECIDED and undecided:
+    if judgement == Judgement.UNDECIDED and undecided and not left:
         # What would decide the dive, by the first piece of evidence that is not about a single stretch.
-        row = undecided[0]
-        ends, samples = (finite(row.ratio), finite(row.low), finite(row.high)), finite(row.effective_samples)
-        needed = what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), 1)
-        left = left or (f"; {needed}" if needed else "")
-    words = {row.word for row in evidence if row.evidence == CONSISTENT} & {
-        EvidenceWord.BETTER,
-        EvidenceWord.WORSE,
-    }
+        needed = _needed(undecided[0], finite(undecided[0].effective_samples), 1)
+        left = f"; {needed}" if needed else ""
+    words = {row.word for row in evidence if row.evidence == CONSISTENT} & {EvidenceWord.BETTER, EvidenceWord.WORSE}
     if len(words) == 1:
         is_more = EvidenceWord.BETTER in words
         joined = "but" if is_more == (judgement == Judgement.WORSE) else "and"
         left += f"; {joined} it is {'more' if is_more else 'less'} honest"
-    named = "; ".join(pieces) or "there is nothing to measure it by"
-    return f"{candidate} {AGAINST[judgement]} {baseline}: {named}{left}"
+    return f"{'; '.join(pieces) or 'there is nothing to measure it by'}{left}"
+
+
+def _needed(row: Piece, samples: float, dives: int) -> str:
+    """Say how many dives like these would decide a piece of evidence; empty if these should have."""
+    ends = finite(row.ratio), finite(row.low), finite(row.high)
+    return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
 
 
 def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
     """Name what is undecided where the first piece alone makes filters equivalent, as the end of a sentence."""
-    words = (row.quantity for row in rows if row.quantity in deciding and row.word == EvidenceWord.UNDECIDED)
-    names = [label(quantity) for quantity in words] if judgement == Judgement.EQUIVALENT else []
-    return f"; undecided: {', '.join(names)}" if names else ""
+    undecided = (row.quantity for row in rows if row.quantity in deciding and row.word == EvidenceWord.UNDECIDED)
+    names = ", ".join(map(label, undecided)) if judgement == Judgement.EQUIVALENT else ""
+    return f"; undecided: {names}" if names else ""
 
 
 def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
     """Choose pieces of evidence of each word that made the judgement, or could have: the first of each kind."""
-    words: tuple[EvidenceWord, ...] = {
-        Judgement.BETTER: (EvidenceWord.BETTER,),
-        Judgement.WORSE: (EvidenceWord.WORSE,),
-        Judgement.MIXED: (EvidenceWord.BETTER, EvidenceWord.WORSE),
-        Judgement.EQUIVALENT: (EvidenceWord.EQUIVALENT,),
-    }.get(judgement, (EvidenceWord.UNDECIDED,))
+    words = {judgement.value} & set(EvidenceWord) or {EvidenceWord.UNDECIDED}
+    if judgement == Judgement.MIXED:
+        words = {EvidenceWord.BETTER, EvidenceWord.WORSE}
     known, spoken = [row for row in rows if row.quantity in deciding], list[P]()
-    for word in words:
+    for word in sorted(words):
         kinds: dict[str, P] = {row.evidence: row for row in reversed(known) if row.word == word}
         spoken += [*reversed(kinds.values())][: MOST_NAMED // len(words)]
     return spoken
@@ -396,12 +431,11 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
     trust, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
     if trust == Consistency.NOT_AVAILABLE:
         return f"{candidate} does not say how sure it is, {baseline} is {baseline_trust}.{alarm}"
+    sentence = f"Both filters are {trust}."
     if trust != baseline_trust:
         sentence = f"{candidate} is {trust}, {baseline} {baseline_trust}."
-    else:
-        sentence = (
-            "Too few updates to judge either." if trust == Consistency.INSUFFICIENT else f"Both filters are {trust}."
-        )
+    elif trust == Consistency.INSUFFICIENT:
+        sentence = "Too few updates to judge either."
     used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
     if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
         sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
@@ -415,7 +449,8 @@ def _trust(tables: Tables, name: str) -> str:
     if credibility == Consistency.INSUFFICIENT or credibility not in WORST_FIRST:
         return consistency
     # Name the groups of states that have the worst verdict, where others have a better one.
-    groups = [row for row in _groups(tables.credibility, name) if row.verdict in VERDICTS_BEST_FIRST]
+    groups = [row for row in tables.credibility if row.filter == name and row.quantity in ALL_CREDIBILITY_GROUPS]
+    groups = [row for row in groups if row.verdict in VERDICTS_BEST_FIRST]
     worst = [row.quantity.replace("_", " ") for row in groups if row.verdict == credibility]
     where = f" in {' and '.join(worst)}" if len(worst) < len(groups) else ""
     if consistency in (Consistency.NOT_AVAILABLE, Consistency.INSUFFICIENT):
@@ -423,3 +458,91 @@ def _trust(tables: Tables, name: str) -> str:
     if consistency == credibility:
         return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
     return f"{consistency} by the innovations and {credibility}{where} against the reference"
+
+
+# --- The verdict on several dives.
+
+
+def pooled_evidence(
+    candidate: str,
+    dives: Sequence[Sequence[EvidenceRow]],  # the candidate's rows of each dive in which it is evaluated
+) -> list[PooledRow]:
+    """Pool what each dive holds on one candidate; the piece that decides first is in front."""
+    pooled = []
+    for quantity in EVIDENCE_QUANTITIES:
+        rows = [row for dive in dives for row in dive if row.quantity == quantity and row.evidence != CONSISTENT]
+        if not rows:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.asarray(np.log([finite(row.ratio) for row in rows]))
+        interval, known = dives_ratio(logs), np.isfinite(logs)
+        # One of the filters never settled on some dive: the dives with a ratio are those where it did.
+        unsettled = any((row.baseline is None) != (row.value is None) for row in rows)
+        pooled.append(
+            PooledRow(
+                log=EVERY_DIVE,
+                filter=candidate,
+                evidence=rows[0].evidence,
+                quantity=quantity,
+                unit=rows[0].unit,
+                baseline=_median(finite(row.baseline) for row in rows),
+                value=_median(finite(row.value) for row in rows),
+                ratio=interval.ratio,
+                low=interval.low,
+                high=interval.high,
+                dives=int(known.sum()),
+                dives_won=int((logs < 0.0).sum()),
+                p=interval.p,
+                word=EvidenceWord.UNDECIDED if unsettled else word_of(interval, FEWEST_DIVES),
+            )
+        )
+    return pooled
+
+
+@dataclass(frozen=True)
+class PooledCandidate:
+    """What several dives say of a candidate together."""
+
+    name: str
+    baseline: str
+    rows: tuple[PooledRow, ...]  # the piece that decides first in front
+    dives: int  # that have the candidate
+    judged: int  # in which it is evaluated
+
+    @property
+    def judgement(self) -> Judgement:
+        """The verdict on it; none where half of the dives are not evaluated."""
+        if 2 * self.judged <= self.dives:
+            return Judgement.NOT_EVALUATED
+        return judgement_of(self.rows, DECIDING_TOGETHER)
+
+
+def pooled_candidate(
+    name: str,
+    baseline: str,
+    evidence: Sequence[Sequence[EvidenceRow]],  # of each dive in which it is evaluated
+    dives: int,
+) -> PooledCandidate:
+    """Pool the evidence on one candidate."""
+    return PooledCandidate(name, baseline, tuple(pooled_evidence(name, evidence)), dives, len(evidence))
+
+
+def pooled_sentence(pooled: PooledCandidate) -> str:
+    """Say in one sentence what several dives say of a candidate."""
+    judgement, dives = pooled.judgement, f"{pooled.judged} of {pooled.dives} dives"
+    if judgement == Judgement.NOT_EVALUATED:
+        found = f"it is judged in {dives}; settle the others first"
+        return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."
+    spoken = spoken_of(judgement, pooled.rows, DECIDING_TOGETHER)
+    pieces = [
+        f"{changed(row.quantity, finite(row.ratio))} (95 % over dives: "
+        f"{interval_in_words(row.ratio, row.low, row.high)}; "
+        f"{'sooner' if row.evidence == 'convergence' else 'smaller'} in {row.dives_won} of {row.dives} dives, "
+        f"p = {finite(row.p):.2g})"
+        for row in spoken
+    ]
+    if spoken and judgement == Judgement.UNDECIDED:
+        pieces.append(_needed(spoken[0], float(spoken[0].dives), spoken[0].dives))
+    found = "; ".join(filter(None, pieces)) or "there is nothing to measure it by"
+    left = left_undecided(judgement, pooled.rows, DECIDING_TOGETHER)
+    return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}{left}."

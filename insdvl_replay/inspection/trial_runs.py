@@ -22,8 +22,8 @@ from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import UserError, listed
 from insdvl_replay.core.states import BY_SENSOR, DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.consistency import CLASSES, readings_scatter, sensor_class
 from insdvl_replay.evaluation.drift import filter_track_fit
+from insdvl_replay.evaluation.notes import CLASSES, readings_scatter, sensor_class
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.proposal import (
     Setting,

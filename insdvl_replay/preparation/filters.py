@@ -82,7 +82,7 @@ class ResolvedFilter:
 
     def gate(self, size: int) -> float:
         """Return the largest NIS of so many components that is used; infinite where every innovation is."""
-        from insdvl_replay.evaluation.chi_square import chi_square_quantile  # scipy: only before filters run
+        from insdvl_replay.evaluation.consistency import chi_square_quantile  # scipy: only before filters run
 
         return chi_square_quantile(self.gate_probability, size)
 

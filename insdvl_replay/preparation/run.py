@@ -22,7 +22,6 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
 from insdvl_replay.evaluation.drift import HeadingFit, heading_fit
-from insdvl_replay.evaluation.errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.evaluation.evaluate import judged_times, with_solutions
 from insdvl_replay.evaluation.outage_test import (
     OutagePlan,
@@ -32,6 +31,7 @@ from insdvl_replay.evaluation.outage_test import (
     outage_run,
     plan_outages,
 )
+from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.dvl import parity_innovations
 from insdvl_replay.nav.filter import run_filter

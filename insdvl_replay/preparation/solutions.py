@@ -25,7 +25,7 @@ from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, DEG, POSITION, states_with
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.errors import WELL_COVERED, covered_share
+from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.preparation.prepared import reference_at_imu

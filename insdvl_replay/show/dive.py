@@ -58,7 +58,7 @@ from insdvl_replay.core.tables import (
     finite,
 )
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
-from insdvl_replay.evaluation.consistency import is_noise_far_off
+from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.show.document import (
     MISSING,

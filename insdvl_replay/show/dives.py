@@ -13,8 +13,7 @@ from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, is_whol
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
-from insdvl_replay.evaluation.over_dives import PooledCandidate, pooled_candidate, pooled_sentence
-from insdvl_replay.evaluation.verdicts import spoken_of
+from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
 from insdvl_replay.show.dive import (
     MEANS,
     TONES,

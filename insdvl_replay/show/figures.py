@@ -25,10 +25,10 @@ from insdvl_replay.core.result import (
 )
 from insdvl_replay.core.states import DEG, STATES
 from insdvl_replay.core.tables import EvidenceRow, OutageRow, finite
-from insdvl_replay.evaluation.chi_square import mean_interval
+from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.convergence import ConvergenceCurves
-from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration
 from insdvl_replay.evaluation.outage_test import SHOWN_EVERY_S, SHOWN_S, OutageCurve
+from insdvl_replay.evaluation.reference_errors import acceleration_at, reference_acceleration
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat, wrap_angle
 from insdvl_replay.replay import Replay

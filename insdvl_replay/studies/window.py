@@ -15,7 +15,12 @@ from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.result import Curve, DisplayTable, Figure, Panel, Result, filter_style
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.errors import acceleration_at, differentiated_over_s, reference_acceleration, vector_rmse
+from insdvl_replay.evaluation.reference_errors import (
+    acceleration_at,
+    differentiated_over_s,
+    reference_acceleration,
+    vector_rmse,
+)
 from insdvl_replay.geometry.frames import DvlMounting
 from insdvl_replay.nav.dvl import DvlVelocities, SlopeWindows, slope_windows, windowed_sum
 from insdvl_replay.preparation.prepared import read_checked_dive, reference_as_configured

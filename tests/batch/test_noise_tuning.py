@@ -15,7 +15,8 @@ from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.history import Innovations
-from insdvl_replay.evaluation.consistency import CLASSES, log_likelihood
+from insdvl_replay.evaluation.consistency import log_likelihood
+from insdvl_replay.evaluation.notes import CLASSES
 from insdvl_replay.logs import read_dive
 from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.replay import replay_dive, replay_log

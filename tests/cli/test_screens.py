@@ -26,7 +26,7 @@ from rich.console import Console
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.words import Belief, EvidenceWord, GateStatus, Judgement
-from insdvl_replay.evaluation.over_dives import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
 from insdvl_replay.show.dive import dive_screen
 from insdvl_replay.show.dives import Failure, dives_screen
 from insdvl_replay.show.text import for_terminal

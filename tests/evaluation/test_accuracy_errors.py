@@ -7,8 +7,8 @@ import pytest
 
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.errors import DrawnErrors
 from insdvl_replay.evaluation.evidence import FEWEST_STARTS, ReferenceNoise, accuracy_errors
+from insdvl_replay.evaluation.reference_errors import DrawnErrors
 from insdvl_replay.sim.dive import exact_dive
 
 NOISE = ReferenceNoise(0.1, 0.02, 0.3)

@@ -13,14 +13,15 @@ from scipy import stats
 
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive, Floats
-from insdvl_replay.evaluation.chi_square import (
+from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
     SMALL_EXCESS,
     chi_square_quantile,
+    consistency_table,
     consistency_verdict,
     mean_interval,
 )
-from insdvl_replay.evaluation.consistency import consistency_table, update_notes
+from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive

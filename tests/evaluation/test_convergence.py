@@ -24,19 +24,19 @@ def test_times_have_the_closed_form(power: float) -> None:
     assert found.target == pytest.approx(np.sqrt(np.mean(np.arange(0.9005, 1.0, 0.001) ** (-2 * power))), rel=2e-3)
     assert found.baseline_s == pytest.approx(END_S * MARGIN ** (-1.0 / power), rel=2e-3)
     assert found.candidate_s == pytest.approx(END_S * (2.0 * MARGIN) ** (-1.0 / power), rel=2e-3)
-    assert found.ratio == pytest.approx(2.0 ** (-1.0 / power), rel=4e-3)
-    assert (found.status, found.starts) == ("reached", STARTS)
+    assert found.interval.ratio == pytest.approx(2.0 ** (-1.0 / power), rel=4e-3)
+    assert (found.status, found.interval.effective_samples) == ("reached", STARTS)
 
 
 def test_starts_that_err_alike_leave_no_doubt() -> None:
     found = measured_convergence(falling(1.0), falling(1.0, 0.5), TIME_S)
-    np.testing.assert_allclose(found[5:9], found.ratio, rtol=1e-9)
+    np.testing.assert_allclose(found.interval[1:5], found.interval.ratio, rtol=1e-9)
 
 
 def test_ratio_is_the_same_in_any_unit_of_time_and_error() -> None:
     found = measured_convergence(falling(1.0), falling(0.8, 0.7), TIME_S)
     other = measured_convergence(1e-8 * falling(1.0), 1e-8 * falling(0.8, 0.7), 60.0 * TIME_S)
-    assert other.ratio == pytest.approx(found.ratio, rel=1e-9)
+    assert other.interval.ratio == pytest.approx(found.interval.ratio, rel=1e-9)
     assert other.baseline_s == pytest.approx(60.0 * found.baseline_s, rel=1e-9)
 
 
@@ -52,23 +52,23 @@ def test_it_is_reached_when_it_stays() -> None:
 def test_what_is_above_at_the_end_never_converges() -> None:
     found = measured_convergence(falling(1.0), falling(1.0, 2.0), TIME_S)
     assert found.status == "never"
-    assert np.isnan([found.candidate_s, found.ratio]).all()
+    assert np.isnan([found.candidate_s, found.interval.ratio]).all()
     assert np.isfinite(found.baseline_s)
-    assert found[5:9] == (np.inf,) * 4, "whichever starts are drawn"
+    assert found.interval[1:5] == (np.inf,) * 4, "whichever starts are drawn"
 
 
 @pytest.mark.parametrize("power", [0.0, -1.0])
 def test_what_does_not_fall_has_nothing_to_converge(power: float) -> None:
     found = measured_convergence(falling(power), falling(1.0, 0.1), TIME_S)
     assert found.status == "at_start"
-    assert np.isnan([found.baseline_s, found.ratio, found.low, found.high]).all()
+    assert np.isnan([found.baseline_s, found.interval.ratio, found.interval.low, found.interval.high]).all()
 
 
 def test_candidate_that_is_there_at_once_is_sooner() -> None:
     found = measured_convergence(falling(1.0), falling(0.0, 0.5), TIME_S)
     assert found.status == "at_start"
-    assert np.isnan([found.candidate_s, found.ratio]).all()
-    assert found.high == pytest.approx(TIME_S[0] / found.baseline_s, rel=0.02)
+    assert np.isnan([found.candidate_s, found.interval.ratio]).all()
+    assert found.interval.high == pytest.approx(TIME_S[0] / found.baseline_s, rel=0.02)
 
 
 def test_one_run_that_breaks_down_is_not_left_out() -> None:
@@ -81,7 +81,7 @@ def test_times_that_the_reference_lacks_are_left_out() -> None:
     squares = np.stack([falling(1.0), falling(1.0, 0.5)])
     every = measured_convergence(*squares, TIME_S)
     squares[..., 1::2] = np.nan
-    assert measured_convergence(*squares, TIME_S).ratio == pytest.approx(every.ratio, rel=1e-3)
+    assert measured_convergence(*squares, TIME_S).interval.ratio == pytest.approx(every.interval.ratio, rel=1e-3)
 
 
 @pytest.mark.nightly
@@ -95,7 +95,7 @@ def test_interval_covers_the_ratio_of_all_starts() -> None:
         return measured_convergence((size @ slow + noise[0]) ** 2, (size @ quick + noise[1]) ** 2, time_s)
 
     expected = (np.tile(np.sum(falls**2, axis=0) + 1e-4, (STARTS, 1)) for falls in (slow, quick))
-    true = measured_convergence(*expected, time_s).ratio
+    true = measured_convergence(*expected, time_s).interval.ratio
     found = [drawn() for _ in range(100)]
-    covered = np.mean([one.low <= true <= one.high for one in found if one.status == "reached"])
+    covered = np.mean([one.interval.low <= true <= one.interval.high for one in found if one.status == "reached"])
     assert 0.88 <= covered <= 0.99

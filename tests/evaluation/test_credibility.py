@@ -15,7 +15,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
-from insdvl_replay.evaluation.chi_square import mean_interval, probability_beyond_3_sd
+from insdvl_replay.evaluation.consistency import mean_interval, probability_beyond_3_sd
 from insdvl_replay.evaluation.credibility import (
     FAR_SMALLER,
     MANY_FAR_OFF,

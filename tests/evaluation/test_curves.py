@@ -5,7 +5,7 @@ import pytest
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.convergence import convergence_curves, measured_convergences
-from insdvl_replay.evaluation.errors import DrawnErrors
+from insdvl_replay.evaluation.reference_errors import DrawnErrors
 
 STARTS, END_S = 9, 400.0
 TIME_S = np.arange(0.2, END_S + 0.1, 0.2)

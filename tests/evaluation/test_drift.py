@@ -17,7 +17,7 @@ from insdvl_replay.evaluation.drift import (
     time_segments,
     track_fit_table,
 )
-from insdvl_replay.evaluation.errors import DrawnErrors, ReferenceErrors, reference_distance_m, where_known
+from insdvl_replay.evaluation.reference_errors import DrawnErrors, ReferenceErrors, reference_distance_m, where_known
 from insdvl_replay.evaluation.series import paired_ratio
 from insdvl_replay.geometry.frames import moved_position
 

@@ -12,6 +12,7 @@ from insdvl_replay.core.tables import ConsistencyRow, EvidenceRow
 from insdvl_replay.core.words import ConvergenceStatus
 from insdvl_replay.evaluation.convergence import MeasuredConvergence
 from insdvl_replay.evaluation.evidence import Measured, SquaredErrors, evidence_table
+from insdvl_replay.evaluation.series import RatioInterval
 
 TIMES, STARTS = 300, 16
 PIECES = ("drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "level", "heading")
@@ -171,9 +172,8 @@ def test_outage_is_compared_window_by_window() -> None:
 
 def converged(ratio: float) -> MeasuredConvergence:
     ends = ratio, 0.9 * ratio, 1.1 * ratio, 0.92 * ratio, 1.08 * ratio
-    return MeasuredConvergence(
-        0.01, 100.0, 100.0 * ratio, ConvergenceStatus.REACHED, *ends, 1.0 if ratio == 1.0 else 0.0, 15
-    )
+    interval = RatioInterval(*ends, 15.0, drawn_p=1.0 if ratio == 1.0 else 0.0)
+    return MeasuredConvergence(0.01, 100.0, 100.0 * ratio, ConvergenceStatus.REACHED, interval)
 
 
 @pytest.mark.parametrize(("ratio", "word"), [(0.5, "better"), (0.85, "undecided"), (1.2, "undecided"), (1.6, "worse")])
@@ -184,7 +184,9 @@ def test_convergence_has_to_differ_by_more_than_the_sensors_of_one_dive(ratio: f
 
 @pytest.mark.parametrize(("high", "word"), [(1.04, "equivalent"), (3.66, "undecided")])
 def test_times_that_a_few_starts_may_make_others_are_not_equivalent(high: float, word: str) -> None:
-    found = converged(1.0)._replace(low=0.99, high=high, low90=0.99, high90=1.02)
+    found = converged(1.0)
+    interval = found.interval._replace(low=0.99, high=high, low90=0.99, high90=1.02)
+    found = found._replace(interval=interval)
     assert evidence(convergence={"level": found})["convergence_level"].word == word
 
 

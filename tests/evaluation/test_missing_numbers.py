@@ -14,7 +14,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
-from insdvl_replay.evaluation.errors import covered_share
+from insdvl_replay.evaluation.reference_errors import covered_share
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu
 from insdvl_replay.replay import Replay, replay_dive, replay_log

@@ -10,7 +10,7 @@ import pytest
 from insdvl_replay.core.dive_columns import NS_PER_S
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.tables import ReferenceErrorRow
-from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.verdicts import far_off
 
 seconds = np.arange(1, 401)

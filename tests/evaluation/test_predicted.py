@@ -11,14 +11,16 @@ from frames import frame
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import NINE, STATES
-from insdvl_replay.evaluation.convergence import convergence_table, nearest_approach_s, time_to_stay_below
-from insdvl_replay.evaluation.predicted import (
-    improvement_pct,
+from insdvl_replay.evaluation.convergence import (
+    convergence_table,
     improvement_table,
     mean_over_nine,
+    nearest_approach_s,
     nearest_over_nine,
+    time_to_stay_below,
     unchanged_over_nine,
 )
+from insdvl_replay.evaluation.reference_errors import improvement_pct
 
 SECOND = 1_000_000_000
 PAPER_S = 424

@@ -15,7 +15,7 @@ from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import DEG
-from insdvl_replay.evaluation.errors import (
+from insdvl_replay.evaluation.reference_errors import (
     ReferenceErrors,
     attitude_error,
     distance_travelled_m,

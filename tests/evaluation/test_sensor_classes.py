@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from insdvl_replay.core.config import Filter
 from insdvl_replay.core.config_file import PRESETS, load_config
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.consistency import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.notes import CLASSES, beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import GRADES
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.evaluation.drift import filter_track_fit, track_fit
-from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.geometry.frames import moved_position
 
 SECOND = 1_000_000_000

@@ -2,15 +2,15 @@
 
 import re
 
+import numpy as np
 import pytest
+from made_histories import history
 from made_verdicts import consistency, credibility, judged
-from msgspec.structs import replace
 
-from insdvl_replay.core.tables import (
-    EvidenceRow,
-)
-from insdvl_replay.evaluation.evidence import without_words
-from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.tables import EvidenceRow, Tables
+from insdvl_replay.core.words import Severity
+from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, judged_candidates
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,11 @@ def test_gravest_group_of_errors_stands_for_the_filter() -> None:
     ]  # fmt: skip
 
 
-def test_evidence_on_a_candidate_that_is_not_judged_has_no_words() -> None:
+def test_evidence_on_a_candidate_that_is_not_evaluated_has_no_words() -> None:
     row = EvidenceRow("dive", "aided", "accuracy", "drift_30s", "m", 2.0, 1.0, 0.5, 0.4, 0.6, 30.0, 16, 60, "better")
-    found = without_words([row, replace(row, filter="other")], {"aided": "aided rejected 209 of 300"})
-    assert [(row.filter, row.word, row.ratio) for row in found] == [("aided", "", 0.5), ("other", "better", 0.5)]
+    histories = tuple(history(name, np.full(9, 3.0)) for name in ("baseline", "aided"))
+    contradiction = Note("dvl_contradiction", "columns contradict each other", severity=Severity.WARNING)
+    for notes, word in ((), "better"), ((contradiction,), ""):
+        tables, found = judged_candidates(histories, {}, Tables([], [], [], [], [], [row]), notes, independent=True)
+        assert [(left.word, left.ratio) for left in tables.evidence] == [(word, 0.5)]
+        assert found["aided"].improvement == (word or "not evaluated")

@@ -7,7 +7,7 @@ from scipy.stats import chi2
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, BG, DV, PHI
-from insdvl_replay.evaluation.errors import motion_error
+from insdvl_replay.evaluation.reference_errors import motion_error
 from insdvl_replay.nav.algebra import matrix, vector
 from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of

@@ -13,7 +13,7 @@ from frames import frames
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD, PHI
-from insdvl_replay.evaluation.predicted import mean_over_nine
+from insdvl_replay.evaluation.convergence import mean_over_nine
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import exact_dive

@@ -20,7 +20,7 @@ from true_errors import Ratio, mean_squares, true_ratio, truth
 from worlds import WORLDS, made_dive
 
 from insdvl_replay.core.dive_columns import NS_PER_S
-from insdvl_replay.evaluation.errors import ReferenceErrors
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 
 CAUTIOUS, DEAD = "baseline's R of 200 mm/s, truly 20", "dead: a knock, and gates that stay shut"
 DIVES = 4

@@ -12,7 +12,7 @@ from insdvl_replay.core.config import Config, Depth, Dvl, Evaluation, Filter, In
 from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History, Innovations
-from insdvl_replay.evaluation.consistency import update_notes
+from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.preparation.prepared import prepare_dive

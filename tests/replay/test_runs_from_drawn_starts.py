@@ -14,7 +14,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
 from insdvl_replay.core.states import PHI
 from insdvl_replay.evaluation.convergence import measured_convergences
-from insdvl_replay.evaluation.errors import DrawnErrors, reference_errors, squared_errors
+from insdvl_replay.evaluation.reference_errors import DrawnErrors, reference_errors, squared_errors
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepared_timeline, run_filters, run_from_drawn_starts

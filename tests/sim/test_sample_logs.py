@@ -10,7 +10,7 @@ from frames import frame
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import STATES
-from insdvl_replay.evaluation.predicted import mean_over_nine, nearest_over_nine
+from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive

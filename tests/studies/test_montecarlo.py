@@ -36,7 +36,7 @@ from insdvl_replay.evaluation.ensemble import (
     run_errors,
     verdict_table,
 )
-from insdvl_replay.evaluation.errors import motion_error
+from insdvl_replay.evaluation.reference_errors import motion_error
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.show.paper import figure_png

@@ -14,7 +14,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError
-from insdvl_replay.evaluation.errors import acceleration_at, reference_acceleration, vector_rmse
+from insdvl_replay.evaluation.reference_errors import acceleration_at, reference_acceleration, vector_rmse
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.write import write_dive
 from insdvl_replay.show import render

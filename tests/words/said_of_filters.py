@@ -9,7 +9,7 @@ from as_text import Cases, noted
 from made_histories import history
 from made_verdicts import judged
 
-from insdvl_replay.evaluation.consistency import update_notes
+from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.preparation.gaps import outage_notes
 

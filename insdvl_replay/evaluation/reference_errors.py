@@ -17,7 +17,6 @@ from insdvl_replay.core.quantities import REFERENCE_QUANTITIES
 from insdvl_replay.core.states import BA, BG, DEG, DV, PHI, POSITION, STATES
 from insdvl_replay.core.tables import ReferenceErrorRow
 from insdvl_replay.core.words import ReferenceStatus
-from insdvl_replay.evaluation.predicted import improvement_pct
 from insdvl_replay.evaluation.series import thinned
 from insdvl_replay.geometry.frames import north_east_down_m, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
@@ -30,6 +29,8 @@ SHORTEST_M: Final = 10.0
 """Over a shorter distance there are no percentages: at rest a filter's noise alone travels some metres."""
 DEAD_RECKONED: Final = ("position_h", "depth", "position_h_pct")
 """Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""
+
+NO_ERRORS: Final[Floats] = np.empty(0)
 
 Known = NDArray[np.bool_]
 
@@ -266,6 +267,13 @@ def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
 # --- The table.
 
 
+def improvement_pct(before: float, after: float) -> float:
+    """Return ``(before - after) / before`` in percent; NaN where ``before`` is zero or either is not finite."""
+    if not (np.isfinite(before) and np.isfinite(after)) or before == 0.0:
+        return float("nan")
+    return float(100.0 * (before - after) / before)
+
+
 def reference_error_table(
     log: str, histories: tuple[History, ...], errors: Mapping[str, ReferenceErrors], *, bridged_gaps: bool = False
 ) -> list[ReferenceErrorRow]:
@@ -276,57 +284,62 @@ def reference_error_table(
     instants.
     """
     baseline, *candidates = histories
-    span_ns, nan, rows = (int(baseline.time_ns[0]), int(baseline.time_ns[-1])), float("nan"), []
-    columns = {name: _shown(found, found.distance_m) for name, found in errors.items()}
+    start_ns, end_ns, rows = int(baseline.time_ns[0]), int(baseline.time_ns[-1]), []
+    shown = {name: _shown(found, found.distance_m) for name, found in errors.items()}
     for candidate in candidates:
+        after, before = shown.get(candidate.filter, {}), shown.get(baseline.filter, {})
+        compared = before
+        if candidate.is_partial and errors:
+            distance_m = min(errors[name].distance_m for name in (candidate.filter, baseline.filter))
+            same_distance = _shown(errors[baseline.filter], distance_m)
+            compared = {name: np.where(np.isfinite(after[name]), same_distance[name], np.nan) for name in before}
         for quantity, unit in REFERENCE_QUANTITIES.items():
-            named = log, candidate.filter, quantity, unit
+            known = np.isfinite(compared.get(quantity, NO_ERRORS))
+            before_rmse, before_final = _rms_and_final(compared.get(quantity, NO_ERRORS))
+            rmse, final = _rms_and_final(after.get(quantity, NO_ERRORS))
             if not errors:
-                rows.append(ReferenceErrorRow(*named, nan, nan, nan, nan, nan, 0, ReferenceStatus.NO_REFERENCE))
-                continue
-            found, after, before = errors[candidate.filter], columns[candidate.filter], columns[baseline.filter]
-            compared = before[quantity]
-            if candidate.is_partial:
-                distance_m = min(found.distance_m, errors[baseline.filter].distance_m)
-                same_distance = _shown(errors[baseline.filter], distance_m)[quantity]
-                compared = np.where(np.isfinite(after[quantity]), same_distance, np.nan)
-            before_rmse, before_final, samples = _rms_final_samples(compared)
-            rmse, final, _ = _rms_final_samples(after[quantity])
-            covered = covered_share(errors[baseline.filter].time_ns, np.isfinite(compared), *span_ns)
-            if samples and bridged_gaps and quantity in DEAD_RECKONED:
+                status = ReferenceStatus.NO_REFERENCE
+            elif known.any() and bridged_gaps and quantity in DEAD_RECKONED:
                 status = ReferenceStatus.LOST_IN_GAP
-            elif samples:
-                status = ReferenceStatus.COMPARED if covered >= WELL_COVERED else ReferenceStatus.PARTLY_COVERED
+            elif known.any():
+                covered = covered_share(errors[baseline.filter].time_ns, known, start_ns, end_ns) >= WELL_COVERED
+                status = ReferenceStatus.COMPARED if covered else ReferenceStatus.PARTLY_COVERED
             elif np.isfinite(before[quantity]).any():
                 status = ReferenceStatus.NOT_IN_SOLUTION
             elif quantity == "position_h_pct" and np.isfinite(after["position_h"]).any():
                 status = ReferenceStatus.NO_DISTANCE
             else:
                 status = ReferenceStatus.NOT_IN_REFERENCE
-            numbers = before_rmse, rmse, improvement_pct(before_rmse, rmse), before_final, final
-            rows.append(ReferenceErrorRow(*named, *numbers, samples, status))
+            rows.append(
+                ReferenceErrorRow(
+                    log=log,
+                    filter=candidate.filter,
+                    quantity=quantity,
+                    unit=unit,
+                    baseline_rmse=before_rmse,
+                    rmse=rmse,
+                    improvement_pct=improvement_pct(before_rmse, rmse),
+                    baseline_final=before_final,
+                    final=final,
+                    samples=int(known.sum()),
+                    status=status,
+                )
+            )
     return rows
 
 
 def _shown(errors: ReferenceErrors, distance_m: float) -> dict[str, Floats]:
     """Return the errors of each quantity in its shown unit, shape (k,)."""
-    horizontal_m = np.hypot(errors.position_error_ned_m[:, 0], errors.position_error_ned_m[:, 1])
-    percent = 100.0 / distance_m if distance_m >= SHORTEST_M else float("nan")
-    columns = [
-        *errors.velocity_error_n.T,
-        *(errors.attitude_error_rad.T / DEG),
-        horizontal_m,
-        errors.position_error_ned_m[:, 2],
-        horizontal_m * percent,
-    ]
+    horizontal_m = np.hypot(*errors.position_error_ned_m[:, :2].T)
+    percent = 100.0 / distance_m if distance_m >= SHORTEST_M else np.nan
+    attitude, down_m = errors.attitude_error_rad.T / DEG, errors.position_error_ned_m[:, 2]
+    columns = (*errors.velocity_error_n.T, *attitude, horizontal_m, down_m, horizontal_m * percent)
     return dict(zip(REFERENCE_QUANTITIES, columns, strict=True))
 
 
-def _rms_final_samples(error: Floats) -> tuple[float, float, int]:
+def _rms_and_final(error: Floats) -> tuple[float, float]:
     known = error[np.isfinite(error)]
-    if not len(known):
-        return float("nan"), float("nan"), 0
-    return float(np.sqrt(np.mean(known**2))), float(known[-1]), len(known)
+    return (float(np.sqrt(np.mean(known**2))), float(known[-1])) if len(known) else (np.nan, np.nan)
 
 
 # --- The acceleration of the reference.

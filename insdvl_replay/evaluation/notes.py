@@ -1,0 +1,343 @@
+"""What tables and references say of themselves and of the settings, as notes and hints.
+
+First the updates that did not happen as configured, then hints on settings, which white noise can be a sensor's, and
+what the reference does not see.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, seconds
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
+from insdvl_replay.core.quantities import AXES, axis_of, is_reserved
+from insdvl_replay.core.states import DEG, PHI, SENSORS
+from insdvl_replay.core.tables import Tables, finite
+from insdvl_replay.core.words import Severity
+from insdvl_replay.evaluation.consistency import (
+    FEWEST_UPDATES,
+    MANY_REJECTED,
+    autocorrelation,
+    chi_square_quantile,
+    rejected,
+    repeats,
+)
+from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
+
+CONTRADICTED: Final = 9.0
+"""Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread."""
+SLOW: Final = 0.3  # Correlation of neighbouring headings from which their error is slow.
+SMALL_TURN: Final = 10.0 * DEG
+"""Through a smaller turn a straight line between two samples misses less than 0.4 % of the speed, 1 - cos(5 deg)."""
+LARGE_TURN: Final = 45.0 * DEG
+"""Through a larger one it misses more than 7 %, 1 - cos(22.5 deg), and the turn may have come and gone unseen."""
+APART: Final = 5.0
+"""Times by which the NIS of one axis is above another's: what a DVL is built in otherwise does not reach all alike."""
+TOO_LARGE: Final = 1.5
+"""NIS over degrees of freedom from which an axis is compared with down, too: beams 30 deg off the vertical measure with
+six times less variance down, of which a filter that takes all axes for alike knows nothing."""
+TELLING_PCT, TELLING_DEG = 0.5, 0.5
+CERTAIN_SDS: Final = 5.0
+"""Standard errors by which a track has to be off; those of a turn hold what the filter knows of its heading, too."""
+LEAST, MOST = 0.2, 5.0  # Mean NIS over degrees of freedom outside which noise is set far off.
+NOISE_FAR_OFF: Final = "noise_far_off"
+_CALIBRATE: Final = (
+    "`insdvl-replay calibrate` with the same settings estimates arm, mounting, delay and scale of the DVL"
+)
+_CONTROL: Final = "`insdvl-replay run --control` adds a baseline whose noise is fitted to the dive"
+FILTERED: Final = 10.0
+"""An IMU that smooths its readings shows less of its noise from sample to sample than it has over a second: by up to
+this factor."""
+RESTLESS: Final = 2.0  # Vibration that comes and goes scatters the readings by as much more than in the usual block.
+BLOCK: Final = 50  # Samples of a block; turns and single wrong readings spoil few of them.
+
+
+# --- Notes on updates that did not happen as configured.
+
+
+def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
+    """Warn of filters whose tables say less than they seem to.
+
+    Their aiding had no update, innovations are not finite, gates reject more than outliers, or a sensor contradicts.
+    """
+    warnings = (warning for history in histories for warning in _update_warnings(history))
+    return tuple(Note(code, text, count, Severity.WARNING, hint) for code, text, count, hint in warnings)
+
+
+def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
+    """Yield code, text, count and hint of each."""
+    name, settings = history.filter, f"filters.{history.filter}"
+    gate_hint = f"check lever arm and mounting, raise [noise], or --set {settings}.gate_probability=1.0"
+    for met in history.innovations:
+        kind, total = met.measurement, len(met.used)
+        lost, many = ~np.isfinite(met.nis), int(rejected(met).sum())
+        if total == 0:
+            hint = f"{settings}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
+            yield "aiding_without_updates", f"filter {name} had no {kind} to use", 0, hint
+        if total == 0 or met.is_held_out:
+            continue
+        if lost.any():
+            count = int(lost.sum())
+            are_lost = f"{count} of {total} {kind} innovations are not finite, from number {np.argmax(lost) + 1} on"
+            if not is_reserved(kind) and np.isfinite(history.velocity_n[-1]).all():
+                text = f"filter {name} goes on without some: {are_lost}"
+                yield "innovations_not_finite", text, count, "arithmetic fails in what predicts them"
+            else:
+                sizes = "check the units and sizes of [noise], [initial] and what aids it"
+                hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
+                yield "filter_not_finite", f"filter {name} broke down: {are_lost}", count, hint
+            continue
+        if many > MANY_REJECTED * total:
+            yield "gate_rejects_many", f"filter {name} rejected {many} of {total} {kind} innovations", many, gate_hint
+        # A sensor next to the DVL that says something else than all others: the filter is none the worse for it. By the
+        # median, since readings that are wild are few, and the gate's affair.
+        size = float(np.median(met.nis)) / chi_square_quantile(0.5, met.dof)
+        if kind in SENSORS and total >= FEWEST_UPDATES and size > CONTRADICTED:
+            text = (
+                f"filter {name} and its {kind} contradict each other: the median NIS of {kind} is {size:.3g} times "
+                "what is expected"
+            )
+            hint = f"units, axes, stamp and delay in [{kind}], or a larger sd there"
+            hint += "; evaluation.held_out judges without it"
+            yield f"{kind}_disagrees", text, total, hint
+        # Innovations of a heading whose error is slow are small, since the filter follows the error.
+        may_be_slow = kind == "heading" and all(state.id != "heading_bias" for state in history.states)
+        value, limit = autocorrelation(met.standardised, met.used) if may_be_slow else (0.0, 0.0)
+        if value >= SLOW and repeats(value, limit):
+            text = (
+                f"filter {name} follows a slow error of the heading: neighbouring innovations have a correlation of "
+                f"{value:.2f}, and its heading is less sure than it says"
+            )
+            hint = (
+                f'{settings}.states = ["heading_bias"], with heading.bias_sd_deg and bias_time_s; a smaller '
+                "heading.sd_deg makes it worse"
+            )
+            yield "heading_slow_error", text, total, hint
+    if count := len(history.reopened_ns):
+        first_ns = min(int(met.time_ns[0]) for met in history.innovations if len(met.time_ns))
+        first_s = (int(history.reopened_ns[0]) - first_ns) / NS_PER_S
+        text = (
+            f"filter {name} was set to the DVL again after runs of rejected velocities ({count} in all, "
+            f"the first {first_s:.1f} s after the first reading)"
+        )
+        yield "gate_reopened", text, count, gate_hint
+
+
+def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
+    """Note what filters take the sensors' constants, and adaptive noise, to be at the end."""
+    notes = []
+    for history in histories:
+        found, count = [], history.constants.shape[1]
+        for column, state in enumerate(history.states[len(history.states) - count :]):
+            value, start = (history.constants[row, column] / state.factor for row in (-1, 0))
+            sd, start_sd = (history.sd[row, state.index] / state.factor for row in (-1, 0))
+            found.append(
+                f"{state.label} {value:+.3g} {state.unit} (sd {sd:.2g} {state.unit}; "
+                f"at the start {start:+.3g}, sd {start_sd:.2g})"
+            )
+        found += [
+            f"noise of {innovations.measurement} {math.sqrt(innovations.noise_factor):.3g} times what it is told"
+            for innovations in history.innovations
+            if innovations.noise_factor != 1.0
+        ]
+        if found:
+            notes.append(Note("constants_estimated", f"{history.filter} estimates: {'; '.join(found)}", len(found)))
+    return tuple(notes)
+
+
+# --- Hints: what the tables say on the settings, and which command follows it up.
+
+
+def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
+    """Say what the baseline's innovations and track show of how the DVL is built in, and of the noise."""
+    name, notes = baseline.filter, []
+    nis = {row.measurement: finite(row.mean_nis) / row.dof for row in tables.consistency if row.filter == name}
+
+    sizes = {axis: nis[part] for axis in AXES if (part := axis_of("velocity", axis)) in nis}
+    high = max(sizes, key=sizes.__getitem__, default="")
+    compared = {axis: size for axis, size in sizes.items() if axis != AXES[-1] or sizes[high] > TOO_LARGE}
+    low = min(compared, key=compared.__getitem__, default="")
+    if low and sizes[low] > 0.0 and sizes[high] > APART * sizes[low]:
+        listed = ", ".join(f"{axis} {size:.2g}" for axis, size in sizes.items())
+        text = (
+            f"the innovations of {name} are not alike along the axes: mean NIS / dof {listed}, along {high} "
+            f"{sizes[high] / sizes[low]:.3g} times that along {low}; arm, mounting or delay of the DVL may be off"
+        )
+        notes.append(Note("innovations_apart", text, 1, hint=_CALIBRATE))
+
+    heading_sd_deg = float(np.max(baseline.sd[[0, -1], PHI.stop - 1])) / DEG
+    telling, off = {"scale": (TELLING_PCT, 0.0), "turn": (TELLING_DEG, heading_sd_deg)}, []
+    for row in tables.track_fit:
+        size, (least, known_sd) = abs(finite(row.fitted)), telling[row.quantity]
+        sd = math.hypot(finite(row.fitted_sd), known_sd)
+        if row.filter == name and size > least and size > CERTAIN_SDS * sd:
+            off.append(f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})")
+    if off:
+        text = (
+            f"{' and '.join(off)} would lay the track of {name} on the reference's: dvl.scale, "
+            "dvl.mounting_rpy_deg or initial.heading_deg may be off"
+        )
+        notes.append(Note("track_off", text, len(off), hint=_CALIBRATE))
+
+    if is_noise_far_off(tables, name):
+        text = (
+            f"the innovations of {name} are far {'smaller' if nis['velocity'] < LEAST else 'larger'} than it says: "
+            f"mean NIS / dof of velocity is {nis['velocity']:.2g}, 1 is expected"
+        )
+        notes.append(Note(NOISE_FAR_OFF, text, 1, hint=_CONTROL))
+    return tuple(notes)
+
+
+def is_noise_far_off(tables: Tables, baseline: str) -> bool:
+    """Return whether the size of the innovations tells that the noise is set far off.
+
+    Small ones that repeat themselves do not: they are an error that stays, which less noise would make worse.
+    """
+    row = next((row for row in tables.consistency if (row.filter, row.measurement) == (baseline, "velocity")), None)
+    if row is None or row.mean_nis is None:
+        return False
+    size = row.mean_nis / row.dof
+    return size > MOST or (size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit)))
+
+
+# --- Whether a white noise can be its sensor's: a filter that fits noise to its innovations has nowhere else to put
+# what a wrong lever arm or delay does to them.
+
+
+class SensorClasses(NamedTuple):
+    """The classes that one kind of sensor comes in."""
+
+    name: str
+    worst: Mapping[str, float]  # the worst white noise of each class, SI units, best class first; as of the presets
+    least: float  # less than the best sensors have
+
+
+CLASSES: Final[Mapping[str, SensorClasses]] = MappingProxyType(
+    {
+        # Servo accelerometers have 1 to 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
+        "accel_white_mps_rts": SensorClasses("accelerometers", {"fog": 5e-4, "tactical": 1.8e-3, "mems": 1e-2}, 1e-5),
+        # Navigators have 0.003 deg/sqrt(h) or less, tactical gyros 0.15; the cheapest reach 0.05 deg/s/sqrt(Hz).
+        "gyro_white_rad_rts": SensorClasses("gyros", {"fog": 1e-5, "tactical": 6e-5, "mems": 1e-3}, 1e-8),
+        # From 3 mm/s of a ping at 1 MHz to 3 cm/s at 150 kHz, which reaches furthest.
+        "velocity_sd_mps": SensorClasses("DVLs", {"DVL": 0.1}, 3e-4),
+        "beam_sd_mps": SensorClasses("DVLs", {"DVL": 0.1}, 3e-4),
+    }
+)
+"""By the key of the settings."""
+
+
+def readings_scatter(readings: Floats, step_s: float) -> float:
+    """Bound the white noise density of a sensor by how its readings, shape (k, 3), scatter from sample to sample.
+
+    What is left of three readings after a straight line is noise, vibration, and what the vehicle does within two
+    steps: at least the sensor's noise, unless it smooths. The largest of the axes, each the median over blocks; NaN of
+    fewer than three readings.
+    """
+    bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)  # of white noise: 1, -2 and 1 times it, squared and added
+    if not len(bends):
+        return np.nan
+    length = min(BLOCK, len(bends))
+    blocks = bends[: len(bends) // length * length].reshape(-1, length, 3)
+    power = np.median(np.mean(blocks**2, axis=1), axis=0)
+    return float(np.sqrt(power.max() * step_s))
+
+
+def sensor_class(key: str, noise: float) -> str:
+    """Name the best class of `CLASSES` that may be so noisy; empty where none is."""
+    return next((name for name, worst in CLASSES[key].worst.items() if noise <= worst), "")
+
+
+def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
+    """Say why a white noise cannot be its sensor's; empty where it may be.
+
+    The scatter is that of `readings_scatter`; 0 where the readings show nothing of the noise alone, as those of a DVL.
+    """
+    sensors, reasons = CLASSES[key], []
+    best, worst = min(sensors.worst.values()), max(sensors.worst.values())
+    if scatter and noise > best and noise > FILTERED * scatter:
+        reasons.append(f"{noise / scatter:.0f} times what the readings scatter by ({scatter:.2g})")
+    if noise > worst and noise > RESTLESS * scatter:
+        reasons.append(f"more than any {sensors.name} have ({worst:g})")
+    if noise < sensors.least:
+        reasons.append(f"less than any {sensors.name} have ({sensors.least:g})")
+    return " and ".join(reasons)
+
+
+# --- What the reference does not see.
+
+
+def reference_notes(
+    dive: Dive, start_ns: int, end_ns: int, history: History, judged_ns: TimeNs, *, independent: bool
+) -> tuple[Note, ...]:
+    """Note what the reference cannot tell: errors that it shares, and what of the dive it does not see."""
+    reference, truth = dive.reference, dive.truth
+    if reference is None:
+        return ()
+    notes = []
+    if not independent:
+        text = "the reference shares sensors with the filters: errors that they have in common are not seen"
+        notes.append(Note("reference_not_independent", text))
+    known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
+    covering = [("reference", reference.time_ns, known)]
+    if truth is not None:
+        biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
+        told = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}
+        covering.append(("truth", truth.time_ns, told))
+    for source, time_ns, found in covering:
+        # One note for each percent, of all quantities that cover so much.
+        alike: dict[str, list[str]] = {}
+        for quantity, rows in found.items():
+            share = covered_share(time_ns, rows, start_ns, end_ns)
+            if share < WELL_COVERED:
+                alike.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
+        inside = (time_ns >= start_ns) & (time_ns <= end_ns)
+        for percent, quantities in alike.items():
+            joined = " and ".join(filter(None, [", ".join(quantities[:-1]), quantities[-1]]))
+            text = (
+                f"{joined} of the {source} cover {percent} % of the replay; the errors against them are of "
+                "that part alone"
+            )
+            count = min(int(np.sum(found[quantity] & inside)) for quantity in quantities)
+            hint = "--start and --end choose that part"
+            notes.append(Note(f"{source}_coverage", text, count, Severity.WARNING, hint))
+    count = int(np.sum((reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)))
+    if left_out := count - len(judged_ns):
+        text = (
+            f"credibility is judged at {len(judged_ns)} of the {count} times of the reference, evenly chosen: P "
+            "at all of them would fill the memory"
+        )
+        notes.append(Note("credibility_thinned", text, left_out))
+    return (*notes, *reference_rate_notes(history, reference.time_ns))
+
+
+def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, ...]:
+    """Say that a reference is too slow for the dive's turns, where it is; any filter's history shows the motion.
+
+    The note counts the intervals with more than `SMALL_TURN`, and is a warning above `LARGE_TURN`.
+    """
+    sampled = np.flatnonzero(np.isin(history.time_ns, reference_ns))
+    if len(sampled) < 2:
+        return ()
+    # Turn and change of velocity since the last sample before each recorded time.
+    rows = np.arange(sampled[0] + 1, sampled[-1] + 1)
+    last = sampled[np.searchsorted(sampled, rows, side="left") - 1]
+    trace = np.einsum("kij,kij->k", history.mat_nb[rows], history.mat_nb[last])  # of a rotation: 1 + 2 cos(angle)
+    turn = np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
+    change_mps = np.linalg.norm(history.velocity_n[rows] - history.velocity_n[last], axis=1)
+    since, turning = history.time_ns[last], turn > SMALL_TURN
+    if not turning.any():
+        return ()
+    worst = int(np.argmax(turn))
+    apart_s = float(seconds(reference_ns[np.searchsorted(reference_ns, since[worst], side="right")], since[worst]))
+    text = (
+        f"between two samples of the reference, {apart_s:.2g} s apart, the vehicle turns by up to "
+        f"{turn[worst] / DEG:.0f} deg and changes its velocity by up to {change_mps.max():.2f} m/s; errors in "
+        "between are not seen"
+    )
+    hint = f"a reference at {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would see this turn"
+    count, severity = len(np.unique(since[turning])), Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO
+    return (Note("reference_slow", text, count, severity, hint),)
