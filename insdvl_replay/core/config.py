@@ -225,10 +225,10 @@ class Solution(Navigation, frozen=True):
     ] = None
 
 
-FILE_ENDINGS: Final = (".tum", ".txt")
-"""How a name ends that is of a file; no topic of ROS has a dot."""
+FILE_ENDINGS: Final = (".tum", ".txt")  # How a name ends that is of a file; no topic of ROS has a dot.
 
 
+# Keys that name fields of a topic.
 TOPIC_KEYS: Final = (
     "latitude",
     "longitude",
@@ -241,9 +241,7 @@ TOPIC_KEYS: Final = (
     "pitch",
     "heading",
 )
-"""Keys that name fields of a topic."""
-MOST_BYTES: Final = 1 << 28
-"""Of a file with a solution: two hours at 200 Hz have 160 MB."""
+MOST_BYTES: Final = 1 << 28  # Of a file with a solution: two hours at 200 Hz have 160 MB.
 
 
 def key_of(name: str) -> str:

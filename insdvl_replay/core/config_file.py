@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import EnumMeta
 from functools import reduce
 from importlib import resources
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -32,22 +33,19 @@ from insdvl_replay.core.errors import (
     nearest,
     read_regular,
     read_text,
-    require_known,
     visible,
 )
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
-KeyPath = tuple[str | int, ...]
-"""Names of tables and keys from the top, and places in arrays among them."""
+KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and places in arrays among them.
 Table = TypeVar("Table", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
-LARGEST: Final = 1e30
-"""Nothing that is measured is larger, and powers of what is smaller are still numbers."""
+LARGEST: Final = 1e30  # Nothing that is measured is larger, and powers of what is smaller are still numbers.
 _HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
 _OVERRIDE: Final = "for example --set dvl.scale=1.01"
+# Share of letters of a name that was meant beyond doubt, whatever other names share words with it.
 _MISSPELLED: Final = 0.85
-"""Share of letters of a name that was meant beyond doubt, whatever other names share words with it."""
 _ALSO_CALLED: Final[Mapping[str, str]] = {
     "noise": "sd white", "std": "sd", "stddev": "sd", "sigma": "sd", "delay": "latency", "lag": "latency",
     "offset": "lever arm", "mount": "mounting", "misalignment": "mounting", "gps": "position", "gnss": "position",
@@ -62,13 +60,13 @@ _BOUNDS: Final = {">=": "of at least", ">": "above", "<=": "of at most", "<": "b
 _EXPECTED: Final = re.compile(
     r"Expected `(?P<kinds>[\w |]+)`(?: (?P<sign>[<>]=?) (?P<bound>\S+?))?(?: of length (?P<length>.+?))?(?:, got .*)?"
 )
+# States that need one of these measurements among the aiding or the held-out sensors.
 _MEASURED_BY: Final = {
     "dvl_scale": DVL_AIDING,
     "dvl_yaw": DVL_AIDING,
     "depth_zero": ("depth",),
     "heading_bias": ("heading",),
 }
-"""States that need one of these measurements among the aiding or the held-out sensors."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +79,12 @@ class TomlSource:
     assigned: str = "{} = {}"  # how a key gets its value there, with ``{}`` for both
     text: str = ""  # of a file
 
-    def has(self, *keys: str) -> bool:
+    def has(self, *keys: str | int) -> bool:
         """Return whether a key, from the top, is in it."""
         inner: Any = self.content
         for key in keys:
-            if not isinstance(inner, Mapping) or key not in inner:
-                return False
-            inner = inner[key]
-        return True
+            inner = inner.get(key) if isinstance(inner, Mapping) else None
+        return inner is not None
 
 
 # --- Reading and converting
@@ -300,7 +296,10 @@ def load_config(
             settings = _merged(settings, change.content)
             _resolved(settings, change)
         raise
-    _check_across_keys(config, [*layers, *changes], allow_code=allow_code)
+    for key, what, hint in islice(_problems(config, allow_code=allow_code), 1):
+        # The last layer that has what is wrong is named.
+        where = next((layer.name for layer in reversed([*layers, *changes]) if layer.has(*key)), "the configuration")
+        raise ConfigError(what, hint, *([where] if key else []))
     return _with_digests(config)
 
 
@@ -357,20 +356,15 @@ def _numbers(value: object, *path: Any) -> Iterator[tuple[KeyPath, float]]:
 
 
 def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Let the files that filters name be found from wherever the settings are read again."""
-
-    def whole(entry: Any) -> Any:
+    """Let the files that filters name be found from wherever the settings are read again; changes the content."""
+    filters = content.get("filters")
+    for entry in filters.values() if isinstance(filters, Mapping) else ():
         solution = entry.get("solution") if isinstance(entry, Mapping) else None
         if isinstance(solution, str) and key_of(solution) == "file":
-            return {**entry, "solution": str((folder / solution).absolute())}
-        if isinstance(solution, Mapping) and isinstance(file := solution.get("file"), str):
-            return {**entry, "solution": {**solution, "file": str((folder / file).absolute())}}
-        return entry
-
-    filters = content.get("filters")
-    if not isinstance(filters, Mapping):
-        return content
-    return {**content, "filters": {name: whole(entry) for name, entry in filters.items()}}
+            entry["solution"] = str((folder / solution).absolute())
+        elif isinstance(solution, dict) and isinstance(file := solution.get("file"), str):
+            solution["file"] = str((folder / file).absolute())
+    return content
 
 
 def _with_digests(config: Config) -> Config:
@@ -399,108 +393,104 @@ def _with_digests(config: Config) -> Config:
 
 # --- Checks across keys
 
+Problem = tuple[KeyPath, str, str]  # a key of the layer that is to be named, what is wrong, and a hint
 
-def _check_across_keys(config: Config, layers: Sequence[TomlSource], *, allow_code: bool) -> None:
-    """Require known words, names that can be part of topics, filters that make sense, and no code unless allowed.
 
-    A message names the last layer that has what is wrong.
-    """
-
-    def where(*path: str) -> str:
-        return next((layer.name for layer in reversed(layers) if layer.has(*path)), "the configuration")
-
-    def check_words(words: Sequence[str], known: Collection[str], *path: str) -> None:
-        for place, word in enumerate(words):
-            key = _dotted(*path, place)
-            with error_context(where(*path)):
-                require_known(key, word, known)
-                if word in words[:place]:
-                    raise ConfigError(f"{key} '{word}' stands there already", "leave one of them out")
-
+def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
+    """Find words that are not known, names that cannot be part of topics, filters without sense, forbidden code."""
     held_out = config.evaluation.held_out
-    check_words(held_out, SENSORS, "evaluation", "held_out")
+    yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
     if not config.filters:
-        raise ConfigError(
-            f"{where('filters')}: no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
-        )
+        yield ("filters",), "no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
     for name in config.topics:
         if not (name.isascii() and name.isidentifier()):
-            raise ConfigError(
-                f"the topic's name '{name}' is not a letter followed by letters, digits and _",
-                '[topics.range] topic = "/range", values = "range"',
-            )
+            what = f"the topic's name '{name}' is not a letter followed by letters, digits and _"
+            yield (), what, '[topics.range] topic = "/range", values = "range"'
     for name, filter_ in config.filters.items():
-        with error_context(where("filters", name)):
-            if not (name.isascii() and name.isidentifier()):
-                raise ConfigError(
-                    f"filter name '{name}' is not a letter followed by letters, digits and _",
-                    "the name becomes part of topics and rows",
-                )
-        own = [word for word in filter_.aiding if ":" in word]
-        check_words(filter_.aiding, (*AIDING, "module:Class", *own), "filters", name, "aiding")
-        check_words(filter_.states, MORE_STATES, "filters", name, "states")
-        with error_context(where("filters", name)):
-            if filter_.solution is None:
-                _check_filter(filter_, held_out, f"filters.{name}")
-            else:
-                _check_solution(filter_, f"filters.{name}", is_baseline=name == config.baseline)
+        path = "filters", name
+        if not (name.isascii() and name.isidentifier()):
+            what = f"filter name '{name}' is not a letter followed by letters, digits and _"
+            yield path, what, "the name becomes part of topics and rows"
+        known = (*AIDING, "module:Class", *(word for word in filter_.aiding if ":" in word))
+        yield from _wrong_words(filter_.aiding, known, *path, "aiding")
+        yield from _wrong_words(filter_.states, MORE_STATES, *path, "states")
+        checks = _filter_checks(filter_, held_out, _dotted(*path))
+        if filter_.solution is not None:
+            checks = _solution_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
+        yield from ((path, what, hint) for is_wrong, what, hint in checks if is_wrong)
     for name, filter_ in config.filters.items():
         for place, word in enumerate(filter_.aiding):
             if ":" in word and not allow_code:
-                path = ("filters", name, "aiding")
-                raise ConfigError(
-                    f"{where(*path)}: {_dotted(*path, place)} names code: {word}",
-                    "`run`, `check` and `calibrate` take --allow-code, which runs it with your rights",
-                )
+                hint = "`run`, `check` and `calibrate` take --allow-code, which runs it with your rights"
+                key = _dotted("filters", name, "aiding", place)
+                yield ("filters", name, "aiding"), f"{key} names code: {word}", hint
 
 
-def _check_solution(filter_: Filter, key: str, *, is_baseline: bool) -> None:
-    """Require that a solution that is read has a filter that is run before it, and has no keys of one itself."""
-    if is_baseline:
-        raise ConfigError(
+def _wrong_words(words: Sequence[str], known: Collection[str], *path: str) -> Iterator[Problem]:
+    for place, word in enumerate(words):
+        key = _dotted(*path, place)
+        if word not in known:
+            yield path, f"{key} '{word}' is not known", hint_for(word, known)
+        if word in words[:place]:
+            yield path, f"{key} '{word}' stands there already", "leave one of them out"
+
+
+def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
+    """A solution that is read has a filter that is run before it, and has no keys of one itself."""
+    solution, default = spelled_out(filter_.solution or ""), Filter()
+    others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
+    names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
+    of_topic = next((name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None), "")
+    return [
+        (
+            is_baseline,
             f"{key}.solution is read, and cannot be the baseline: from its start all others begin",
             'name a filter first that is run, such as [filters.baseline] with aiding = ["velocity"]',
-        )
-    default = Filter()
-    others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
-    if len(others) > 1:
-        names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
-        raise ConfigError(f"{key}.solution is read and not run, and {names} says how", "leave one of them out")
-    solution = spelled_out(filter_.solution or "")
-    if (solution.topic is None) == (solution.file is None):
-        found = "names nothing" if solution.topic is None else "names a topic and a file"
-        raise ConfigError(f"{key}.solution {found}", 'solution = "/odometry", or solution = "onboard.tum"')
-    read_from_topic = [name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None]
-    if solution.file is not None and read_from_topic:
-        raise ConfigError(
-            f"{key}.solution is a file, of which {key}.solution.{read_from_topic[0]} says nothing",
+        ),
+        (len(others) > 1, f"{key}.solution is read and not run, and {names} says how", "leave one of them out"),
+        (
+            (solution.topic is None) == (solution.file is None),
+            f"{key}.solution {'names nothing' if solution.topic is None else 'names a topic and a file'}",
+            'solution = "/odometry", or solution = "onboard.tum"',
+        ),
+        (
+            solution.file is not None and of_topic != "",
+            f"{key}.solution is a file, of which {key}.solution.{of_topic} says nothing",
             "time x y z qx qy qz qw stand in each line, and solution.axes says in which axes",
-        )
+        ),
+    ]
 
 
-def _check_filter(filter_: Filter, held_out: Sequence[str], key: str) -> None:
-    if not filter_.aiding:
-        raise ConfigError(f"{key}.aiding names nothing", 'aiding = ["velocity"]')
-    if {"velocity", "beams"} <= set(filter_.aiding):
-        raise ConfigError(f"{key} is told of every ping twice, by its velocity and its beams", 'aiding = ["beams"]')
-    acceleration = filter_.acceleration
-    if "acceleration" in filter_.aiding and acceleration is None:
-        raise ConfigError(
+def _filter_checks(filter_: Filter, held_out: Sequence[str], key: str) -> list[tuple[bool, str, str]]:
+    aiding, acceleration = set(filter_.aiding), filter_.acceleration
+    order, window = (acceleration.order, acceleration.window) if acceleration else (0, 1)
+    return [
+        (not aiding, f"{key}.aiding names nothing", 'aiding = ["velocity"]'),
+        (
+            {"velocity", "beams"} <= aiding,
+            f"{key} is told of every ping twice, by its velocity and its beams",
+            'aiding = ["beams"]',
+        ),
+        (
+            "acceleration" in aiding and acceleration is None,
             f"{key} is aided by acceleration but does not say how",
             f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
-        )
-    for state in filter_.states:
-        if not set(_MEASURED_BY.get(state, filter_.aiding)) & {*filter_.aiding, *held_out}:
-            raise ConfigError(
+        ),
+        *(
+            (
+                not {*measured_by} & {*aiding, *held_out},
                 f"{key} estimates {state}, and is aided by nothing that tells it",
-                f"{key}.aiding with {' or '.join(_MEASURED_BY[state])}, or {key}.states without {state}",
+                f"{key}.aiding with {' or '.join(measured_by)}, or {key}.states without {state}",
             )
-    if acceleration is not None and acceleration.order >= acceleration.window:
-        order, window = acceleration.order, acceleration.window
-        raise ConfigError(
+            for state, measured_by in _MEASURED_BY.items()
+            if state in filter_.states
+        ),
+        (
+            order >= window,
             f"{key}.acceleration.order = {order} needs a window above {order}, found {window}",
             f"window = {order + 1}",
-        )
+        ),
+    ]
 
 
 # --- Writing

@@ -12,10 +12,9 @@ from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
 
+# Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to.
 LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
-"""Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to."""
-LONGEST_NAME: Final = 255
-"""Bytes of a name that file systems keep."""
+LONGEST_NAME: Final = 255  # Bytes of a name that file systems keep.
 
 
 @dataclass(frozen=True)

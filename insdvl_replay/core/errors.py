@@ -21,20 +21,17 @@ from typing import Final
 
 from insdvl_replay.core.words import Severity
 
+# Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak.
 ALIKE: Final = 0.6
-"""Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak."""
-LISTED: Final = 8
-"""Names that a hint lists."""
-_COMPARED: Final = 500
-"""Names that are compared with one letter by letter."""
-_LONGEST: Final = 200
-"""Letters of a name that are compared; a name that a user types has fewer."""
+LISTED: Final = 8  # Names that a hint lists.
+_COMPARED: Final = 500  # Names that are compared with one letter by letter.
+_LONGEST: Final = 200  # Letters of a name that are compared; a name that a user types has fewer.
+# Categories of Unicode: control, format that is not seen (bidi, joiners), lone surrogates, breaks of lines.
 _ACTING: Final = frozenset(("Cc", "Cf", "Cs", "Zl", "Zp"))
-"""Categories of Unicode: control, format that is not seen (bidi, joiners), lone surrogates, breaks of lines."""
 _COMMAND: Final = re.compile(r"^([^\S\n]*):(?=:)", re.MULTILINE)
 _OLD_COMMAND: Final = re.compile(r"#(?=#\w*\[)")
+# Of a text that is read: more than anybody writes by hand; a device may go on without end.
 _MOST_BYTES: Final = 1 << 24
-"""Of a text that is read: more than anybody writes by hand; a device may go on without end."""
 
 
 class UserError(Exception):

@@ -5,14 +5,15 @@ from typing import Final
 from insdvl_replay.core.states import AIDING, AXES_N, BA, BG, DV, PHI, POSITION, SENSORS, STATES
 from insdvl_replay.core.words import Consistency
 
+# On a filter's consistency; ``insufficient data`` says nothing of it and has no rank.
 VERDICTS_BEST_FIRST: Final = (
     Consistency.CONSISTENT,
     Consistency.CONSERVATIVE,
     Consistency.OVERCONFIDENT,
     Consistency.NOT_FINITE,
 )
-"""On a filter's consistency; ``insufficient data`` says nothing of it and has no rank."""
 
+# Rows of reference errors and their units; ``position_h_pct`` is of the way by the reference.
 REFERENCE_QUANTITIES: Final = {
     "velocity_n": "m/s",
     "velocity_e": "m/s",
@@ -24,22 +25,19 @@ REFERENCE_QUANTITIES: Final = {
     "depth": "m",
     "position_h_pct": "%",
 }
-"""Rows of reference errors and their units; ``position_h_pct`` is of the way by the reference."""
+# Rows of credibility in the order of the error state; the attitude about the vehicle's level axes.
 CREDIBILITY_QUANTITIES: Final = (
     "velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", *(state.id for state in STATES[BA.start :]),
 )  # fmt: skip
-"""Rows of credibility in the order of the error state; the attitude about the vehicle's level axes."""
+# Rows of states that are judged together, with their block of P; the gravest of them stands for the filter.
 CREDIBILITY_GROUPS: Final = {"velocity": DV, "attitude": PHI, "accelerometer_bias": BA, "gyro_bias": BG}
-"""Rows of states that are judged together, with their block of P; the gravest of them stands for the filter."""
+# Further rows of a filter that estimates its position.
 POSITION_QUANTITIES: Final = ("position_n", "position_e", "position_d")
-"""Further rows of a filter that estimates its position."""
 ALL_CREDIBILITY_GROUPS: Final = {**CREDIBILITY_GROUPS, "position": POSITION}
+# The row of all compared states together, in which small errors of some may hide large ones of others.
 JOINT: Final = "all"
-"""The row of all compared states together, in which small errors of some may hide large ones of others."""
-AXES: Final = ("x", "y", "z")
-"""Axes of a measurement in b."""
-COMPONENTS: Final = ("c1", "c2", "c3", "c4")
-"""Of a measurement of the user's own, which may be along no axes."""
+AXES: Final = ("x", "y", "z")  # Axes of a measurement in b.
+COMPONENTS: Final = ("c1", "c2", "c3", "c4")  # Of a measurement of the user's own, which may be along no axes.
 
 
 def axis_of(measurement: str, axis: str) -> str:
@@ -52,15 +50,13 @@ def is_whole(measurement: str) -> bool:
     return not measurement.endswith(tuple(axis_of("", axis) for axis in (*AXES, *AXES_N, *COMPONENTS)))
 
 
-PARITY: Final = "parity"
-"""How the four beams of a ping agree: noise that is measured without a filter."""
+PARITY: Final = "parity"  # How the four beams of a ping agree: noise that is measured without a filter.
 _BEAM: Final = "beam_"
-HELD_OUT: Final = "held_out_"
-"""So begins the name of a sensor of whose readings no filter is told."""
+HELD_OUT: Final = "held_out_"  # So begins the name of a sensor of whose readings no filter is told.
 
 
+# So ends the code of the note, behind a sensor's name, that its readings are the reference's own.
 IS_REFERENCE: Final = "_is_reference"
-"""So ends the code of the note, behind a sensor's name, that its readings are the reference's own."""
 
 
 def is_used(measurement: str) -> bool:
@@ -78,6 +74,7 @@ def is_beam(measurement: str) -> bool:
     return measurement.startswith(_BEAM) and measurement.removeprefix(_BEAM).isdecimal()
 
 
+# What filters are aided by, each with the names of its components.
 MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
     "velocity": AXES,
     "acceleration": AXES,
@@ -86,7 +83,6 @@ MEASUREMENTS: Final[dict[str, tuple[str, ...]]] = {
     **{name: sensor.components for name, sensor in SENSORS.items()},
     **{f"{HELD_OUT}{name}": sensor.components for name, sensor in SENSORS.items()},
 }
-"""What filters are aided by, each with the names of its components."""
 
 
 def is_reserved(measurement: str) -> bool:
@@ -95,10 +91,11 @@ def is_reserved(measurement: str) -> bool:
     return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
 
 
+# Errors against the reference, the one that decides first.
 ACCURACY: Final = (
     "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
 )  # fmt: skip
-"""Errors against the reference, the one that decides first."""
+# Rows of drift and their units: the horizontal position, what it drifts by over stretches, and the velocity.
 DRIFT_QUANTITIES: Final = {
     "position_h": "m",
     "drift_60s": "m",
@@ -106,19 +103,17 @@ DRIFT_QUANTITIES: Final = {
     "velocity_along": "m/s",
     "velocity_across": "m/s",
 }
-"""Rows of drift and their units: the horizontal position, what it drifts by over stretches, and the velocity."""
-TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}
-"""Rows of the track fit and their units."""
-OUTAGE_WINDOWS_S: Final = ("30", "60", "120", "300")
-"""Lengths for which the DVL is withheld."""
+TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}  # Rows of the track fit and their units.
+OUTAGE_WINDOWS_S: Final = ("30", "60", "120", "300")  # Lengths for which the DVL is withheld.
 _OUTAGE: Final = tuple(f"outage_{window}s" for window in OUTAGE_WINDOWS_S)
+# Errors whose convergence is measured, and how `errors.squared_errors` names them.
 CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
-"""Errors whose convergence is measured, and how `errors.squared_errors` names them."""
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
+# Differences from sensors that are withheld.
 HELD_OUT_QUANTITIES: Final = tuple(f"{HELD_OUT}{name}" for name in SENSORS)
-"""Differences from sensors that are withheld."""
+# Evidence whether innovations and errors are as large as a filter says; it has no vote.
 CONSISTENT: Final = "consistency"
-"""Evidence whether innovations and errors are as large as a filter says; it has no vote."""
+# Errors of the track of a whole dive, one sample each: unit, and row and column of the reference errors.
 TRACK: Final = {
     "position": ("m", "position_h", "rmse"),
     "position_end": ("m", "position_h", "final"),
@@ -126,15 +121,14 @@ TRACK: Final = {
     "position_end_pct": ("%", "position_h_pct", "final"),
     "depth": ("m", "depth", "rmse"),
 }
-"""Errors of the track of a whole dive, one sample each: unit, and row and column of the reference errors."""
 _NO_VOTE: Final = ("depth_60s", f"{HELD_OUT}depth")
+# Quantities by which a candidate is better or worse.
 DECIDING: Final = (*(name for name in (*ACCURACY, *_OUTAGE, *HELD_OUT_QUANTITIES) if name not in _NO_VOTE),)
-"""Quantities by which a candidate is better or worse."""
+# Those by which several dives decide. One dive is one sample of its track; and of the sensors, by which filters
+# converge.
 DECIDING_TOGETHER: Final = (*DECIDING, "position", "position_end", "depth", *_CONVERGENCE)
-"""Those by which several dives decide. One dive is one sample of its track; and of the sensors, by which filters
-converge."""
+# Rows of evidence, each name once.
 EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_OUTAGE, *HELD_OUT_QUANTITIES, *_CONVERGENCE, "nis", "nees")
-"""Rows of evidence, each name once."""
 _LABELS: Final = {
     **{state.id: state.label for state in STATES},
     **{f"outage_{window}s": f"DVL outage {window} s" for window in OUTAGE_WINDOWS_S},

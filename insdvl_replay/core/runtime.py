@@ -25,8 +25,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
+# Gets a stage, such as ``reading``, how many of its steps are done, and how many there are; 0 of 0 as it begins.
 Listener = Callable[[str, int, int], None]
-"""Gets a stage, such as ``reading``, how many of its steps are done, and how many there are; 0 of 0 as it begins."""
 
 _MANY_OBJECTS: Final = 200_000
 _COMPILED_SOURCES: Final = ("nav/*.py", "geometry/*.py", "core/runtime.py", "core/states.py")

@@ -35,16 +35,11 @@ class State:
     factor: float  # one shown unit in SI: shown = si / factor
 
 
-DV: Final = slice(0, 3)
-"""Velocity error, in n."""
-PHI: Final = slice(3, 6)
-"""Misalignment, in n."""
-BA: Final = slice(6, 9)
-"""Accelerometer bias, in b."""
-BG: Final = slice(9, 12)
-"""Gyro bias, in b."""
-POSITION: Final = slice(12, 15)
-"""Position error, in n, of a filter that estimates it: the first of `MORE_STATES`."""
+DV: Final = slice(0, 3)  # Velocity error, in n.
+PHI: Final = slice(3, 6)  # Misalignment, in n.
+BA: Final = slice(6, 9)  # Accelerometer bias, in b.
+BG: Final = slice(9, 12)  # Gyro bias, in b.
+POSITION: Final = slice(12, 15)  # Position error, in n, of a filter that estimates it: the first of `MORE_STATES`.
 
 
 def _triplet(first: int, id_: str, label: str, axes: str, unit: str, factor: float) -> list[State]:
@@ -58,8 +53,9 @@ STATES: Final[tuple[State, ...]] = (
     *_triplet(6, "ba", "accelerometer bias", "xyz", "mg", MG),
     *_triplet(9, "bg", "gyro bias", "xyz", "deg/h", DEG_PER_HOUR),
 )
+# The nine states whose mean the paper reports: all but the velocity errors, which the DVL measures directly.
 NINE: Final[tuple[State, ...]] = STATES[3:]
-"""The nine states whose mean the paper reports: all but the velocity errors, which the DVL measures directly."""
+# Blocks of states that a filter can have beside the twelve, in the order in which they follow them.
 MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
     "position": tuple(_triplet(0, "dp", "position error", "ned", "m", 1.0)),
     "dvl_scale": (State(0, "dvl_scale", "scale error of the DVL", "%", 0.01),),
@@ -67,7 +63,6 @@ MORE_STATES: Final[dict[str, tuple[State, ...]]] = {
     "depth_zero": (State(0, "depth_zero", "zero of the depth gauge", "m", 1.0),),
     "heading_bias": (State(0, "heading_bias", "bias of the heading sensor", "deg", DEG),),
 }
-"""Blocks of states that a filter can have beside the twelve, in the order in which they follow them."""
 
 
 def states_with(more: Collection[str]) -> tuple[State, ...]:
@@ -118,10 +113,8 @@ SENSORS: Final[dict[str, Sensor]] = {
     ),
 }
 DVL_AIDING: Final = ("velocity", "acceleration", "beams")
-AIDING: Final = (*DVL_AIDING, *SENSORS)
-"""Words for what can aid a filter."""
-BY_SENSOR: Final = "sensor"
-"""In place of the heading at the start, and as what the start comes from."""
+AIDING: Final = (*DVL_AIDING, *SENSORS)  # Words for what can aid a filter.
+BY_SENSOR: Final = "sensor"  # In place of the heading at the start, and as what the start comes from.
 
 
 def states_for(aiding: Iterable[str]) -> tuple[str, ...]:
@@ -129,6 +122,7 @@ def states_for(aiding: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(block for word in aiding if word in SENSORS for block in SENSORS[word].states))
 
 
+# Columns of a trajectory by groups: a difference is small if it is small compared with the largest of its group.
 GROUPS: Final = {
     "position": ("position_n_m", "position_e_m", "position_d_m"),
     "velocity": ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps"),
@@ -142,7 +136,5 @@ GROUPS: Final = {
     "nis": ("nis_velocity", "nis_acceleration"),
     "error": ("position_error_m", "depth_error_m", "velocity_error_mps", "level_error_deg", "heading_error_deg"),
 }
-"""Columns of a trajectory by groups: a difference is small if it is small compared with the largest of its group."""
 COLUMNS: Final = tuple(column for group in GROUPS.values() for column in group)
-ANGLES: Final = ("roll_deg", "pitch_deg", "heading_deg", "heading_error_deg")
-"""Columns that wrap around at 360 deg."""
+ANGLES: Final = ("roll_deg", "pitch_deg", "heading_deg", "heading_error_deg")  # Columns that wrap around at 360 deg.

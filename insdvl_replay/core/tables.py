@@ -31,15 +31,13 @@ from insdvl_replay.core.states import STATES
 from insdvl_replay.core.words import Belief, EvidenceWord, Judgement, Whiteness
 
 Number = float | None
+# What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES.
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
-"""What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES."""
 Kind = Literal["text", "count", "number"]
+# End of the name of a column whose numbers are percentages, and change by percentage points.
 PERCENTAGE: Final = "_pct"
-"""End of the name of a column whose numbers are percentages, and change by percentage points."""
-UNITS: Final = {PERCENTAGE: "%", "_s": "s", "_mps": "m/s", "_m": "m"}
-"""Units by the end of a column's name."""
-RATIO: Final = "ratio"
-"""So begin columns without a unit."""
+UNITS: Final = {PERCENTAGE: "%", "_s": "s", "_mps": "m/s", "_m": "m"}  # Units by the end of a column's name.
+RATIO: Final = "ratio"  # So begin columns without a unit.
 
 
 def finite(number: Number) -> float:
@@ -625,10 +623,9 @@ class Candidate(Struct, frozen=True):
 TABLES: Final[tuple[TableLayout, ...]] = tuple(
     layout_of(name, row) for name, rows in get_type_hints(Tables).items() for row in get_args(rows)
 )
+# The block ``filters`` of a report, read as a table with one row for each candidate.
 CANDIDATES: Final = layout_of("filters", Candidate)
-"""The block ``filters`` of a report, read as a table with one row for each candidate."""
-LAYOUTS: Final = (CANDIDATES, *TABLES)
-"""All that results are compared by, in the order of what a reader asks first."""
+LAYOUTS: Final = (CANDIDATES, *TABLES)  # All that results are compared by, in the order of what a reader asks first.
 
 
 def each_table(tables: Tables) -> Iterator[tuple[TableLayout, Sequence[Struct]]]:

@@ -13,22 +13,20 @@ class Consistency(StrEnum):
     INSUFFICIENT = "insufficient data"
     NOT_IN_REFERENCE = "not in reference"
     NO_REFERENCE = "no reference"
+    # A solution that was read has no innovations, or no covariance; or a filter lacks states for a withheld sensor.
     NOT_AVAILABLE = "not available"
-    """A solution that was read has no innovations, or no covariance; or a filter lacks states for a withheld sensor."""
 
 
 class Reason(StrEnum):
     """Why a verdict of `Consistency` is not what the interval of the mean says."""
 
     NONE = ""
-    NEAR = "within 10 %"
-    """Outside, but so near to what is expected that it does not matter."""
+    NEAR = "within 10 %"  # Outside, but so near to what is expected that it does not matter.
+    # Below: a filter that starts on the reference errs less than it allows for, for as long as it remembers that.
     EXACT_START = "as from an exact start"
-    """Below: a filter that starts on the reference errs less than it allows for, for as long as it remembers that."""
+    # Below, but an error of the filter that stays tells of itself once, and may be small by chance.
     ONE_SAMPLE = "a difference that stays is one sample"
-    """Below, but an error of the filter that stays tells of itself once, and may be small by chance."""
-    BEYOND_3_SD = "many beyond 3 sd"
-    """Inside, but more errors than chance allows are beyond three standard deviations."""
+    BEYOND_3_SD = "many beyond 3 sd"  # Inside, but more errors than chance allows are beyond three standard deviations.
 
 
 class Whiteness(StrEnum):
@@ -44,24 +42,21 @@ class EvidenceWord(StrEnum):
     """What one piece of evidence says of a candidate beside the baseline."""
 
     BETTER = "better"
-    EQUIVALENT = "equivalent"
-    """As good within the margin, and that is sure."""
-    UNDECIDED = "undecided"
-    """The dive holds too little to tell."""
+    EQUIVALENT = "equivalent"  # As good within the margin, and that is sure.
+    UNDECIDED = "undecided"  # The dive holds too little to tell.
     WORSE = "worse"
 
 
 class Judgement(StrEnum):
     """What all evidence says of a candidate beside the baseline."""
 
-    BETTER = "better"
-    """In something, and in nothing worse."""
+    BETTER = "better"  # In something, and in nothing worse.
     EQUIVALENT = "equivalent"
     UNDECIDED = "undecided"
     MIXED = "mixed"
     WORSE = "worse"
+    # The candidate, or the baseline, is dead or set wrong: its numbers say nothing of gain or loss.
     NOT_EVALUATED = "not evaluated"
-    """The candidate, or the baseline, is dead or set wrong: its numbers say nothing of gain or loss."""
 
 
 class Belief(StrEnum):
@@ -87,8 +82,7 @@ class ConvergenceStatus(StrEnum):
     REACHED = "reached"
     AT_START = "at_start"
     NEVER = "never"
-    NOT_MEASURED = "not measured"
-    """No reference, or truth, knows the error, or no start was drawn."""
+    NOT_MEASURED = "not measured"  # No reference, or truth, knows the error, or no start was drawn.
 
 
 class ReferenceStatus(StrEnum):
@@ -97,13 +91,11 @@ class ReferenceStatus(StrEnum):
     COMPARED = "compared"
     NO_REFERENCE = "no reference"
     NOT_IN_REFERENCE = "not in reference"
+    # The candidate is a solution that was read, and says nothing of it where the reference does.
     NOT_IN_SOLUTION = "not in solution"
-    """The candidate is a solution that was read, and says nothing of it where the reference does."""
     NO_DISTANCE = "no distance"
-    PARTLY_COVERED = "partly covered"
-    """The reference knows the quantity in a part of the replay alone."""
-    LOST_IN_GAP = "lost in gap"
-    """The IMU was silent for long, and nothing brings the position back."""
+    PARTLY_COVERED = "partly covered"  # The reference knows the quantity in a part of the replay alone.
+    LOST_IN_GAP = "lost in gap"  # The IMU was silent for long, and nothing brings the position back.
 
 
 class DirectionStatus(StrEnum):
@@ -118,8 +110,7 @@ class Severity(StrEnum):
     """Whether a note may change how far the tables are to be believed."""
 
     INFO = "info"
-    WARNING = "warning"
-    """``--strict`` makes it an error."""
+    WARNING = "warning"  # ``--strict`` makes it an error.
 
 
 class Reading(StrEnum):
@@ -140,8 +131,7 @@ class GateLevel(StrEnum):
 class GateStatus(StrEnum):
     """What became of a gate on a dive, in the order in which a check lists it."""
 
-    UNUSABLE = "unusable"
-    """The dive could not be replayed, or its result not be read."""
+    UNUSABLE = "unusable"  # The dive could not be replayed, or its result not be read.
     FAILED = "failed"
     WARNING = "warning"
     OFF = "off"
@@ -154,12 +144,9 @@ class ChangeWord(StrEnum):
     BETTER = "better"
     WORSE = "worse"
     SAME = "same"
-    CHANGED = "changed"
-    """Neither better nor worse, and not the same."""
-    NEW = "new"
-    """Only the new side has it."""
-    GONE = "gone"
-    """Only the old side has it."""
+    CHANGED = "changed"  # Neither better nor worse, and not the same.
+    NEW = "new"  # Only the new side has it.
+    GONE = "gone"  # Only the old side has it.
 
 
 class MatchedBy(StrEnum):
@@ -167,20 +154,15 @@ class MatchedBy(StrEnum):
 
     HASH = "hash"
     NAME = "name"
-    CHOICE = "choice"
-    """Each side is a single result, so that the two were meant."""
-    NOTHING = "nothing"
-    """It has none."""
+    CHOICE = "choice"  # Each side is a single result, so that the two were meant.
+    NOTHING = "nothing"  # It has none.
 
 
 class Estimated(StrEnum):
     """What a calibration did with a parameter."""
 
     ESTIMATED = "estimated"
-    HELD = "held"
-    """The dives do not show it: it stays as it was, to the bit."""
-    DOUBTFUL = "doubtful"
-    """What was found cannot be right, and is not proposed."""
-    NOT_DETERMINED = "not determined"
-    """A noise that these dives do not tell to a factor of two."""
+    HELD = "held"  # The dives do not show it: it stays as it was, to the bit.
+    DOUBTFUL = "doubtful"  # What was found cannot be right, and is not proposed.
+    NOT_DETERMINED = "not determined"  # A noise that these dives do not tell to a factor of two.
     NOT_ASKED = "not asked"

@@ -37,11 +37,11 @@ from insdvl_replay.evaluation.reference_errors import errors_at
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.geometry.rotation import rpy_from_mat
 
+# Share of the expected NEES, half of the predicted size, below which errors count as small. A filter starts at the
+# reference, so that for a while the errors of a consistent one are smaller than it says.
 FAR_SMALLER: Final = 0.25
-"""Share of the expected NEES, half of the predicted size, below which errors count as small. A filter starts at the
-reference, so that for a while the errors of a consistent one are smaller than it says."""
+# A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter.
 MANY_FAR_OFF: Final = 0.01
-"""A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter."""
 LEVEL: Final = slice(PHI.start, PHI.stop - 1)
 
 States = NDArray[np.int64]

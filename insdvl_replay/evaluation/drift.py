@@ -30,10 +30,10 @@ STEP_S: Final = 5.0  # From the start of a segment to that of the next, which ov
 ABOUT: Final = 0.1  # A segment may be longer or shorter by this share, where the reference has no sample at its end.
 ROUNDING: Final = 1e-6  # Share of a segment that sums of speeds and steps may be short of it.
 SLOWEST_MPS: Final = 0.1  # A slower vehicle has no course.
+# Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres.
 SMALLEST_JUMP_M: Final = 0.5
-"""Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres."""
+# Residuals of tracks are averaged over so long. What is left is what dead reckoning loses, not a fix's noise.
 AVERAGED_S: Final = 20.0
-"""Residuals of tracks are averaged over so long. What is left is what dead reckoning loses, not a fix's noise."""
 FEWEST_AVERAGES: Final = 6  # From fewer there is no standard error.
 
 Complexes = NDArray[np.complex128]

@@ -50,8 +50,8 @@ from insdvl_replay.evaluation.reference_errors import (
     run_from_start,
 )
 
+# So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times.
 MOST_COVARIANCES: Final = 20_000
-"""So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times."""
 
 
 def judged_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:

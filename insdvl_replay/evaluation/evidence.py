@@ -60,15 +60,15 @@ from insdvl_replay.geometry.frames import north_east_down_m
 
 SEGMENTS_S: Final = (30.0, 60.0)
 DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
+# Quantities in which a heading that is off shows in the second order alone.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
-"""Quantities in which a heading that is off shows in the second order alone."""
 OF_STARTS: Final = ("level", "heading")  # Quantities that are judged from drawn starts alone.
 FEWEST_STARTS: Final = 8  # With fewer, levels and headings are no evidence: each start is one sample of them.
+# A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive.
 SOONER: Final = 0.25
-"""A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive."""
 NOISE_OF_REFERENCE: Final = "mostly noise of the reference"
+# Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing.
 NOISY: Final = 0.4
-"""Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing."""
 NOTABLY: Final = 1.1  # A mean NIS or NEES nearer to its degrees of freedom by less is as consistent.
 ALONG: Final = {"depth": [2], "position": [0, 1]}  # Sensors that tell of the track, and along which axes of n.
 
@@ -139,8 +139,8 @@ def accuracy_errors(
 
 
 Rows = NDArray[np.int64]
+# Those of the baseline and of a candidate, by quantity.
 Pair = tuple[Mapping[str, SquaredErrors], Mapping[str, SquaredErrors]]
-"""Those of the baseline and of a candidate, by quantity."""
 
 
 def accuracy_beside(

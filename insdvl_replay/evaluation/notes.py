@@ -28,30 +28,30 @@ from insdvl_replay.evaluation.consistency import (
 )
 from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
 
+# Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread.
 CONTRADICTED: Final = 9.0
-"""Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread."""
 SLOW: Final = 0.3  # Correlation of neighbouring headings from which their error is slow.
+# Through a smaller turn a straight line between two samples misses less than 0.4 % of the speed, 1 - cos(5 deg).
 SMALL_TURN: Final = 10.0 * DEG
-"""Through a smaller turn a straight line between two samples misses less than 0.4 % of the speed, 1 - cos(5 deg)."""
+# Through a larger one it misses more than 7 %, 1 - cos(22.5 deg), and the turn may have come and gone unseen.
 LARGE_TURN: Final = 45.0 * DEG
-"""Through a larger one it misses more than 7 %, 1 - cos(22.5 deg), and the turn may have come and gone unseen."""
+# Times by which the NIS of one axis is above another's: what a DVL is built in otherwise does not reach all alike.
 APART: Final = 5.0
-"""Times by which the NIS of one axis is above another's: what a DVL is built in otherwise does not reach all alike."""
+# NIS over degrees of freedom from which an axis is compared with down, too: beams 30 deg off the vertical measure with
+# six times less variance down, of which a filter that takes all axes for alike knows nothing.
 TOO_LARGE: Final = 1.5
-"""NIS over degrees of freedom from which an axis is compared with down, too: beams 30 deg off the vertical measure with
-six times less variance down, of which a filter that takes all axes for alike knows nothing."""
 TELLING_PCT, TELLING_DEG = 0.5, 0.5
+# Standard errors by which a track has to be off; those of a turn hold what the filter knows of its heading, too.
 CERTAIN_SDS: Final = 5.0
-"""Standard errors by which a track has to be off; those of a turn hold what the filter knows of its heading, too."""
 LEAST, MOST = 0.2, 5.0  # Mean NIS over degrees of freedom outside which noise is set far off.
 NOISE_FAR_OFF: Final = "noise_far_off"
 _CALIBRATE: Final = (
     "`insdvl-replay calibrate` with the same settings estimates arm, mounting, delay and scale of the DVL"
 )
 _CONTROL: Final = "`insdvl-replay run --control` adds a baseline whose noise is fitted to the dive"
+# An IMU that smooths its readings shows less of its noise from sample to sample than it has over a second: by up to
+# this factor.
 FILTERED: Final = 10.0
-"""An IMU that smooths its readings shows less of its noise from sample to sample than it has over a second: by up to
-this factor."""
 RESTLESS: Final = 2.0  # Vibration that comes and goes scatters the readings by as much more than in the usual block.
 BLOCK: Final = 50  # Samples of a block; turns and single wrong readings spoil few of them.
 
@@ -216,6 +216,7 @@ class SensorClasses(NamedTuple):
     least: float  # less than the best sensors have
 
 
+# By the key of the settings.
 CLASSES: Final[Mapping[str, SensorClasses]] = MappingProxyType(
     {
         # Servo accelerometers have 1 to 10 ug/sqrt(Hz), good micromechanical ones 100; cheap ones reach 1000.
@@ -227,7 +228,6 @@ CLASSES: Final[Mapping[str, SensorClasses]] = MappingProxyType(
         "beam_sd_mps": SensorClasses("DVLs", {"DVL": 0.1}, 3e-4),
     }
 )
-"""By the key of the settings."""
 
 
 def readings_scatter(readings: Floats, step_s: float) -> float:

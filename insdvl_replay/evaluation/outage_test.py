@@ -24,15 +24,15 @@ BURN_IN_S: Final = 100  # Drift does not describe a filter that still finds its 
 SHOWN_S: Final = 60
 SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may overlap.
 OUTAGE: Final = 2.5  # A pause of so many usual intervals is a real outage; a single missing ping is none.
+# With fewer in a window the trapezoid, from a velocity error of zero on, makes the drift over 1 % too large.
 FEWEST_PINGS: Final = 6
-"""With fewer in a window the trapezoid, from a velocity error of zero on, makes the drift over 1 % too large."""
 NAN: Final = float("nan")
 ALARM: Final = 2.0  # A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %.
 SURELY: Final = 0.999  # So rarely is there an alarm by chance, of each filter and length.
 
 Rows = NDArray[np.int64]
+# Whether the IMU has a long gap between some times and others, as `nav.timeline.Gaps.overlap`.
 InGap = Callable[[TimeNs, TimeNs], NDArray[np.bool_]]
-"""Whether the IMU has a long gap between some times and others, as `nav.timeline.Gaps.overlap`."""
 
 
 # --- The windows of a dive.

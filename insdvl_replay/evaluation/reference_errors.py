@@ -25,10 +25,10 @@ WELL_COVERED: Final = 0.9  # Share of a replay that has to be covered before err
 USUAL_STEPS: Final = 5.0  # A step to the next number of up to so many usual ones is no hole.
 SHORT_S: Final = 2.5  # Nor is a shorter one.
 CHORD_S: Final = 10.0  # Steps between positions that are shorter add up their noise rather than the distance.
+# Over a shorter distance there are no percentages: at rest a filter's noise alone travels some metres.
 SHORTEST_M: Final = 10.0
-"""Over a shorter distance there are no percentages: at rest a filter's noise alone travels some metres."""
+# Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back.
 DEAD_RECKONED: Final = ("position_h", "depth", "position_h_pct")
-"""Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back."""
 
 NO_ERRORS: Final[Floats] = np.empty(0)
 

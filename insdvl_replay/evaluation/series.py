@@ -26,34 +26,34 @@ from scipy.special import stdtr, stdtrit
 from insdvl_replay.core.dive_columns import Floats, TimeNs, nanoseconds
 from insdvl_replay.core.words import EvidenceWord
 
+# The bias depends on the correlation time that it biases: so many iterations bring the two to agree.
 BIAS_ROUNDS: Final = 3
-"""The bias depends on the correlation time that it biases: so many iterations bring the two to agree."""
+# Correlation of neighbouring averages, in its standard deviations for independent ones, that shows a slow part.
 SLOW: Final = 0.5
-"""Correlation of neighbouring averages, in its standard deviations for independent ones, that shows a slow part."""
 FEWEST_AVERAGES: Final = 10  # Fewer averages of neighbours show no slow part.
+# The sum of squared autocorrelations stops at the first lag beyond so many correlation times: the rest is noise.
 WINDOW_TIMES: Final = 5.0
-"""The sum of squared autocorrelations stops at the first lag beyond so many correlation times: the rest is noise."""
 
 MARGIN: Final = 0.05  # A smaller difference does not matter.
 FEWEST_EFFECTIVE: Final = 6.0  # Fewer independent samples of one dive decide nothing.
+# A row decides below it. On equal filters any row of three dives decides in 0.2 % of cases (`make judge`).
 LARGEST_P: Final = 0.01
-"""A row decides below it. On equal filters any row of three dives decides in 0.2 % of cases (`make judge`)."""
 SETTLED: Final = 0.10
+# Standard deviations by which a difference must exceed the margin to have a p below 0.01 in four of five cases.
 POWER: Final = 2.33 + 0.84
-"""Standard deviations by which a difference must exceed the margin to have a p below 0.01 in four of five cases."""
+# Samples that Student's distribution needs beside the normal one: half the square of 2.33 (Guenther, 1981).
 SMALL_SAMPLE: Final = 2.7
-"""Samples that Student's distribution needs beside the normal one: half the square of 2.33 (Guenther, 1981)."""
 STRETCHES: Final = 8
+# If fewer of the eight stretches of a dive count, they are as many samples, however long they are.
 FEWEST_STRETCHES: Final = 2.5
-"""If fewer of the eight stretches of a dive count, they are as many samples, however long they are."""
 DRAWS: Final = 2000
 SEED: Final = 20_260_000
+# Blocks that estimate a variance best make its intervals too short. Longer blocks are noisier and less biased.
 WIDER_THAN_OPTIMAL: Final = 3
-"""Blocks that estimate a variance best make its intervals too short. Longer blocks are noisier and less biased."""
+# Fewer windows do not show how they are correlated. Each is a restart: over simulated dives they are not.
 FEWEST_CORRELATED: Final = 20
-"""Fewer windows do not show how they are correlated. Each is a restart: over simulated dives they are not."""
+# Neighbours of a longer series are averaged first, so that hours at 10 Hz take no longer than minutes.
 MOST_VALUES: Final = 1000
-"""Neighbours of a longer series are averaged first, so that hours at 10 Hz take no longer than minutes."""
 TAILS: Final = (0.975, 0.95)  # Upper ends of the 95 % interval, and of the 90 % interval for equivalence.
 NORMAL: Final = 1e6  # With so many degrees of freedom Student's distribution is the normal one.
 NAN: Final = float("nan")
