@@ -10,6 +10,7 @@ between two point patterns", 1991, for track fits, which in the plane are a regr
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -137,25 +138,29 @@ def drift_table(
                 "velocity_along": (np.abs(course.along_mps), time_ns, time_ns),
                 "velocity_across": (np.abs(course.across_mps), time_ns, time_ns),
             }
-    kept = [quantity for quantity in DRIFT_QUANTITIES if not bridged_gaps or quantity.startswith("velocity")]
-    kept = [quantity for quantity in kept if any(np.isfinite(found[quantity][0]).any() for found in sizes.values())]
     rows = []
-    for name, quantity in [(name, quantity) for name in errors for quantity in kept]:
-        size, from_ns, to_ns = sizes[name][quantity]
-        known, distance = np.flatnonzero(np.isfinite(size)), errors[name].distance_m
-        named = log, name, quantity, DRIFT_QUANTITIES[quantity]
-        if not len(known):
-            rows.append(DriftRow(*named, 0, *[float("nan")] * 9))
+    for name, (quantity, unit) in product(errors, DRIFT_QUANTITIES.items()):
+        ever = any(np.isfinite(found[quantity][0]).any() for found in sizes.values())
+        if not ever or (bridged_gaps and not quantity.startswith("velocity")):
             continue
-        p50, p95 = np.quantile(size[known], [0.5, 0.95]).tolist()
-        with np.errstate(over="ignore"):
-            rms = float(np.sqrt(np.mean(size[known] ** 2)))
-        worst, final = known[np.argmax(size[known])], float(size[known[-1]])
-        from_s, to_s = ((int(ends_ns[worst]) - start_ns) / NS_PER_S for ends_ns in (from_ns, to_ns))
-        has_share = quantity == "position_h" and distance >= SHORTEST_M
-        final_pct = 100.0 * final / distance if has_share else float("nan")
-        largest = float(size[worst]), from_s, to_s
-        rows.append(DriftRow(*named, len(known), p50, p95, rms, *largest, final, distance, final_pct))
+        size, from_ns, to_ns = sizes[name][quantity]
+        known, travelled_m = np.flatnonzero(np.isfinite(size)), errors[name].distance_m
+        numbers: dict[str, float] = dict.fromkeys(DriftRow.__struct_fields__[5:], np.nan)
+        if len(known):
+            numbers["p50"], numbers["p95"] = np.quantile(size[known], [0.5, 0.95]).tolist()
+            with np.errstate(over="ignore"):
+                numbers["rms"] = float(np.sqrt(np.mean(size[known] ** 2)))
+            worst = known[np.argmax(size[known])]
+            numbers["worst"], numbers["final"], numbers["distance_m"] = (
+                float(size[worst]),
+                float(size[known[-1]]),
+                travelled_m,
+            )
+            numbers["worst_from_s"] = (int(from_ns[worst]) - start_ns) / NS_PER_S
+            numbers["worst_to_s"] = (int(to_ns[worst]) - start_ns) / NS_PER_S
+            if quantity == "position_h" and travelled_m >= SHORTEST_M:
+                numbers["final_of_distance_pct"] = 100.0 * numbers["final"] / travelled_m
+        rows.append(DriftRow(log=log, filter=name, quantity=quantity, unit=unit, samples=len(known), **numbers))
     return rows
 
 

@@ -3,9 +3,9 @@
 Source: Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -101,29 +101,37 @@ class Tally:
 
 # --- Tables of a Monte Carlo study. The first filter is the baseline.
 
+Columns = Mapping[str, Any]  # of a table, each an array or one value for all rows
+
+
+def _stacked(tables: Iterable[Columns]) -> pd.DataFrame:
+    return pd.concat([pd.DataFrame(columns) for columns in tables], ignore_index=True)
+
+
+def _states(name: str, **shown: Floats) -> Columns:
+    """Return columns of a filter's states, each (12,) in SI units and shown in those of the states."""
+    columns = {column: values / FACTORS for column, values in shown.items()}
+    return {"filter": name, "state": [state.id for state in STATES], "unit": [state.unit for state in STATES]} | columns
+
 
 def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Return what each filter predicts at the end next to what is so; ``ratio`` is rms_error over final_sd."""
-    baseline, tables = ensembles[0], []
-    for ensemble in ensembles:
-        ends = {
-            "final_sd": ensemble.sd[-1] / FACTORS,
-            "ensemble_sd": ensemble.error_sd[-1] / FACTORS,
-            "ensemble_mean": ensemble.error_mean[-1] / FACTORS,
-            "rms_error": ensemble.error_rms[-1] / FACTORS,
-        }
-        ends["ratio"] = ends["rms_error"] / ends["final_sd"]
-        before = baseline.sd[-1] / FACTORS, baseline.error_rms[-1] / FACTORS
-        names = "believed_improvement_pct", "true_improvement_pct"
-        for name, old, new in zip(names, before, (ends["final_sd"], ends["rms_error"]), strict=True):
-            changes = [improvement_pct(*pair) for pair in zip(old.tolist(), new.tolist(), strict=True)]
-            ends[name] = np.full(DOF, np.nan) if ensemble is baseline else np.array(changes)
-        tables.append(pd.DataFrame({**_states(ensemble.filter), **ends}))
-    return pd.concat(tables, ignore_index=True)
-
-
-def _states(name: str) -> dict[str, str | list[str]]:
-    return {"filter": name, "state": [state.id for state in STATES], "unit": [state.unit for state in STATES]}
+    table = _stacked(
+        _states(
+            ensemble.filter,
+            final_sd=ensemble.sd[-1],
+            ensemble_sd=ensemble.error_sd[-1],
+            ensemble_mean=ensemble.error_mean[-1],
+            rms_error=ensemble.error_rms[-1],
+        )
+        for ensemble in ensembles
+    )
+    table["ratio"] = table["rms_error"] / table["final_sd"]
+    for name, column in ("believed_improvement_pct", "final_sd"), ("true_improvement_pct", "rms_error"):
+        before = np.tile(table[column][:DOF], len(ensembles)).tolist()
+        changes = [improvement_pct(*pair) for pair in zip(before, table[column].tolist(), strict=True)]
+        table[name] = [*np.full(DOF, np.nan), *changes[DOF:]]
+    return table
 
 
 def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
@@ -136,14 +144,24 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     for ensemble in ensembles:
         at_pings = ensemble.nees[1:]
         low, high = mean_interval(DOF, ensemble.runs)
-        mean, inside = float(at_pings.mean()), (at_pings >= low) & (at_pings <= high)
-        word, why = consistency_verdict(mean, low, high, DOF)
+        word, why = consistency_verdict(float(at_pings.mean()), low, high, DOF)
         if ensemble.runs < FEWEST_UPDATES:
             word, why = Consistency.INSUFFICIENT, Reason.NONE
-        judged = 100.0 * float(np.mean(inside)), float(at_pings[-1]), word, why
-        rows.append((ensemble.filter, ensemble.runs, DOF, mean, low, high, *judged))
-    names = ["filter", "runs", "dof", "mean_nees", "low", "high", "inside_pct", "final_nees", "verdict", "why"]
-    return pd.DataFrame(rows, columns=names)
+        rows.append(
+            {
+                "filter": ensemble.filter,
+                "runs": ensemble.runs,
+                "dof": DOF,
+                "mean_nees": float(at_pings.mean()),
+                "low": low,
+                "high": high,
+                "inside_pct": 100.0 * float(np.mean((at_pings >= low) & (at_pings <= high))),
+                "final_nees": float(at_pings[-1]),
+                "verdict": word,
+                "why": why,
+            }
+        )
+    return pd.DataFrame(rows)
 
 
 def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]) -> pd.DataFrame:
@@ -174,32 +192,38 @@ def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:
 
 def run_table(errors: Sequence[RunErrors]) -> pd.DataFrame:
     """Return the true errors of one run next to what each filter predicts, after the last ping."""
-    tables = []
-    for run in errors:
-        error, sd = run.error[-1] / FACTORS, np.sqrt(run.var[-1]) / FACTORS
-        ends = {"error": error, "sd": sd, "ratio": error / sd}
-        sizes = {"mean_nees": float(run.nees[1:].mean()), "final_nees": float(run.nees[-1])}
-        tables.append(pd.DataFrame({**_states(run.filter), **ends, **sizes}))
-    return pd.concat(tables, ignore_index=True)
+    return _stacked(
+        {
+            **(ends := _states(run.filter, error=run.error[-1], sd=np.sqrt(run.var[-1]))),
+            "ratio": ends["error"] / ends["sd"],
+            "mean_nees": float(run.nees[1:].mean()),
+            "final_nees": float(run.nees[-1]),
+        }
+        for run in errors
+    )
 
 
 def nees_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Return the mean NEES over time with its 95 % interval."""
-    tables = []
-    for ensemble in ensembles:
-        low, high = mean_interval(DOF, ensemble.runs)
-        columns = {"time_s": ensemble.time_s, "mean_nees": ensemble.nees, "low": low, "high": high}
-        tables.append(pd.DataFrame({"filter": ensemble.filter, **columns}))
-    return pd.concat(tables, ignore_index=True)
+    return _stacked(
+        {"filter": ensemble.filter, "time_s": ensemble.time_s, "mean_nees": ensemble.nees}
+        | dict(zip(("low", "high"), mean_interval(DOF, ensemble.runs), strict=True))
+        for ensemble in ensembles
+    )
 
 
 def ensemble_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
     """Return sigma, ensemble sigma and ensemble mean over time, in shown units."""
-    tables = []
-    for ensemble in ensembles:
-        shown = [columns / FACTORS for columns in (ensemble.sd, ensemble.error_sd, ensemble.error_mean)]
-        for i, state in enumerate(STATES):
-            labels = {"filter": ensemble.filter, "state": state.id, "unit": state.unit, "time_s": ensemble.time_s}
-            columns = zip(("sd", "ensemble_sd", "ensemble_mean"), shown, strict=True)
-            tables.append(pd.DataFrame({**labels, **{name: column[:, i] for name, column in columns}}))
-    return pd.concat(tables, ignore_index=True)
+    return _stacked(
+        {
+            "filter": ensemble.filter,
+            "state": state.id,
+            "unit": state.unit,
+            "time_s": ensemble.time_s,
+            "sd": ensemble.sd[:, state.index] / state.factor,
+            "ensemble_sd": ensemble.error_sd[:, state.index] / state.factor,
+            "ensemble_mean": ensemble.error_mean[:, state.index] / state.factor,
+        }
+        for ensemble in ensembles
+        for state in STATES
+    )
