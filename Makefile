@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reproduce docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -117,6 +117,10 @@ docs: .venv/test.stamp
 # The page of the logs that can be used, by the tables of the types that are known.
 inputs: .venv/run.stamp
 	$(BIN)/python docs/generate/inputs.py
+
+# The pages of docs/reference/, by what the program says of its commands, settings, tables and public names.
+reference: .venv/run.stamp
+	$(BIN)/python docs/generate/reference.py
 
 # Needs the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says.
 DIVES ?= ../shared/data/snapir

@@ -1,10 +1,13 @@
 """The parts of README.md that the program writes. `make readme` renews them; a test holds them equal."""
 
 import json
+import os
+import shutil
 import subprocess
 import sys
-import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from written import PROJECT, markdown_table, renewed
 
@@ -15,27 +18,52 @@ PAPER = {"straight": (18.76, 56.73), "figure_eight": (40.0, 54.0)}
 """Mean improvement and mean convergence in percent, as Levy and Klein give them."""
 
 
-def run_sample(name: str, output: str) -> str:
-    """Run ``insdvl-replay run`` on a sample log, into a pipe."""
-    command = [sys.executable, "-m", "insdvl_replay", "run", f"sample_logs/{name}.mcap", "--output", output]
-    done = subprocess.run(command, cwd=PROJECT, check=True, capture_output=True, text=True)
-    return done.stdout.strip().replace(f"{output}/", "replay/")
+BAG = PROJECT.parent / "shared" / "data" / "ros1" / "rexrov2_simulated.bag"
+"""Of a vehicle that others simulated. It has no licence, so it is not in the project."""
 
 
-def tour() -> str:
-    """What is printed for the figure-eight."""
-    with tempfile.TemporaryDirectory() as output:
-        return (
-            f"```console\n$ insdvl-replay run sample_logs/figure_eight.mcap\n{run_sample('figure_eight', output)}\n```"
+def printed(folder: Path, *arguments: str) -> str:
+    """Run the program in a folder, and return what it prints into a pipe."""
+    command = [sys.executable, "-m", "insdvl_replay", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
+    done = subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+def archive() -> str:
+    """What is printed for the dives of the example archive."""
+    with TemporaryDirectory() as folder:
+        shutil.copytree(PROJECT / "examples" / "archive" / "dives", Path(folder) / "examples" / "archive" / "dives")
+        command = "run", "examples/archive/dives"
+        return f"```console\n$ insdvl-replay {' '.join(command)}\n{printed(Path(folder), *command)}\n```"
+
+
+def foreign() -> str:
+    """What three commands make of a bag of a vehicle of others."""
+    proposed = "inspect", "rexrov2.bag", "--propose", "vehicle.toml", "--set", "initial.latitude_deg=38"
+    calibrated = "calibrate", "rexrov2.bag", "-c", "vehicle.toml", "-o", "calibrated.toml"
+    replayed = "run", "rexrov2.bag", "-c", "vehicle.toml", "-c", "calibrated.toml"
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        shutil.copy(BAG, folder / "rexrov2.bag")
+        said = [printed(folder, *command) for command in (proposed, calibrated, replayed)]
+        arm = next(
+            line for line in (folder / "calibrated.toml").read_text("utf-8").splitlines() if "lever_arm_m" in line
         )
+    lines = said[2].partition("\nevidence")[0].splitlines()
+    verdict = next(number for number, line in enumerate(lines) if line.startswith("aided against"))
+    calls = [f"$ insdvl-replay {' '.join(command)}" for command in (proposed, calibrated, replayed)]
+    return "\n".join(
+        ["```console", *calls[:2], "$ grep lever_arm calibrated.toml", arm, calls[2], lines[0], *lines[verdict:], "```"]
+    )
 
 
 def paper() -> str:
     """The means of the paper beside ours."""
     rows = []
     for name, (improvement, convergence) in PAPER.items():
-        with tempfile.TemporaryDirectory() as output:
-            run_sample(name, output)
+        with TemporaryDirectory() as output:
+            printed(PROJECT, "run", f"sample_logs/{name}.mcap", "--output", output)
             ours = json.loads((Path(output) / name / "report.json").read_bytes())["filters"]["aided"]
         nearest_pct, crossing_pct = (ours[f"mean_{how}_improvement_pct"] for how in ("nearest_approach", "convergence"))
         rows.append(
@@ -51,13 +79,13 @@ def paper() -> str:
     )
 
 
-PARTS = {"tour": tour, "paper": paper}
+PARTS = {"archive": archive, "paper": paper}
 
 
-def written() -> str:
+def written(parts: Mapping[str, Callable[[], str]] = PARTS) -> str:
     """README as it should be."""
-    return renewed(README.read_text("utf-8"), PARTS, "make readme")
+    return renewed(README.read_text("utf-8"), parts, "make readme")
 
 
 if __name__ == "__main__":
-    README.write_text(written(), "utf-8")
+    README.write_text(written({**PARTS, "foreign": foreign} if BAG.is_file() else PARTS), "utf-8")

@@ -137,8 +137,9 @@ def written(found: Findings) -> str:
 def limits(_: Findings) -> str:
     """Say what counts as agreement."""
     return (
-        f"What agrees: a sigma within {SD_WITHIN:.0%}, a time within {REACHED_WITHIN_S:.0f} s, a mean within "
-        f"{MEAN_WITHIN_PCT:.0f} %; a claim in words by the rule that [claims.py](generate/claims.py) states for it."
+        f"The tables say *yes* or *repeated* within these limits:\n\n"
+        f"- a sigma within {100 * SD_WITHIN:.0f} %, a time within {REACHED_WITHIN_S:.0f} s, a mean within "
+        f"{MEAN_WITHIN_PCT:.0f} %\n- a claim in words by its rule in [claims.py](generate/claims.py)"
     )
 
 
@@ -249,11 +250,11 @@ def verdicts(found: Findings) -> str:
         (
             "dive",
             "filter",
-            "believed",
+            "predicted",
             "position rms [m]: baseline",
             "with accelerations",
             "measured",
-            "belief",
+            "prediction",
             "innovations",
         ),
         [row for replay in replays for row in _verdicts(replay)],
@@ -282,7 +283,7 @@ def together(found: Findings) -> str:
         evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in found.dives]
         pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
         rows += [_of_eight(name, pooled[quantity]) for quantity in TOGETHER]
-    return markdown_table(("filter", "quantity", "candidate over baseline, 95 %", "smaller on", "p", "word"), rows)
+    return markdown_table(("filter", "quantity", "candidate over baseline, 95 %", "smaller on", "p", "verdict"), rows)
 
 
 def noise(found: Findings) -> str:
@@ -312,7 +313,7 @@ def tuning(found: Findings) -> str:
     studies = {("lawnmower", "levy-klein", "as the filter believes"): found.montecarlo}
     studies |= {(*key, "fibre-optic"): study for key, study in found.fog.items()}
     return markdown_table(
-        ("scenario", "sensors", "settings", "believed", "true", "NEES: baseline", "with accelerations"),
+        ("scenario", "sensors", "settings", "predicted", "true", "NEES: baseline", "with accelerations"),
         [
             (scenario, sensors, preset, *_improvements(study.tables["montecarlo"]), *_nees(study.tables["verdicts"]))
             for (scenario, preset, sensors), study in studies.items()

@@ -1,7 +1,7 @@
 """The site: the pages of docs/, the equations, the reproduction and the changes, gathered as mkdocs wants them.
 
-`make docs` builds it strictly. Links between pages stay; those to other files of the project become their names, since
-the site stands by itself.
+`make docs` builds it strictly. Links between pages stay. Links to other files of the project become their names, since
+the site has no other files. Formulas become MathML, which browsers draw without a script or a network.
 """
 
 import re
@@ -14,9 +14,12 @@ from written import PROJECT
 SOURCES = {
     **{path: path.name for path in sorted((PROJECT / "docs").glob("*.md"))},
     **{path: f"equations/{path.name}" for path in sorted((PROJECT / "docs" / "equations").glob("*.md"))},
+    **{path: f"reference/{path.name}" for path in sorted((PROJECT / "docs" / "reference").glob("*.md"))},
     PROJECT / "CHANGELOG.md": "changes.md",
 }
 """Place in the site by file."""
+CODE = re.compile(r"^```(\w*)\n(.*?)^```$|`[^`\n]+`|\$([^$]+)\$", re.MULTILINE | re.DOTALL)
+"""Fenced blocks, code words and formulas: in code a dollar is no formula."""
 LINK = re.compile(r"(!?)\[((?:[^\]\\]|\\.)*)\]\(([^)\s]+)\)")
 
 
@@ -26,7 +29,8 @@ def gather(target: Path) -> None:
     for path, place in SOURCES.items():
         file = target / place
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(LINK.sub(lambda link, here=path: rewritten(link, here), path.read_text("utf-8")), "utf-8")
+        text = LINK.sub(lambda link, here=path: rewritten(link, here), path.read_text("utf-8"))
+        file.write_text(CODE.sub(drawn, text), "utf-8")
     for picture in (PROJECT / "docs").glob("*.svg"):
         shutil.copy(picture, target / picture.name)
 
@@ -45,6 +49,16 @@ def rewritten(link: re.Match[str], page: Path) -> str:
     if linked not in SOURCES:
         return f"{text} (`{linked.relative_to(PROJECT).as_posix()}`)"
     return f"{mark}[{text}]({up(page)}{SOURCES[linked]}{hash_}{anchor})"
+
+
+def drawn(found: re.Match[str]) -> str:
+    """Make MathML of a formula, and leave code as it is."""
+    from latex2mathml.converter import convert  # only the site needs it
+
+    language, block, formula = found.groups()
+    if language == "math":
+        return f"<p>{convert(block.strip(), display='block')}</p>"
+    return convert(" ".join(formula.split())) if formula else found[0]
 
 
 def up(page: Path) -> str:

@@ -1,9 +1,15 @@
 """The package as it is installed: what a wheel holds."""
 
+import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
+
+import index_readme
+import pytest
+from ruamel.yaml import YAML
 
 PROJECT = Path(__file__).resolve().parents[2]
 
@@ -20,6 +26,30 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
     wanted |= {path.relative_to(PROJECT).as_posix() for path in definitions}
     assert wanted <= names
     assert not [name for name in names if name.startswith("tests/")]
+    (described,) = (name for name in names if name.endswith("/METADATA"))
+    text = zipfile.ZipFile(wheel).read(described).decode()
+    assert "# insdvl-replay" in text
+    assert not re.findall(r"\]\((?![a-z]+:|#)", text)  # no link of the README leads to a file that an index lacks
+
+
+def test_links_of_the_readme_lead_to_the_repository_from_an_index() -> None:
+    page = "[a](docs/a.md#b) [c](https://c.example) [d](#d) ![e](docs/e.svg)"
+    there = "https://git.example.org/x"
+    linked = f"[a]({there}/blob/HEAD/docs/a.md#b) [c](https://c.example) [d](#d) ![e]({there}/raw/HEAD/docs/e.svg)"
+    assert index_readme.for_index(page, there) == linked
+    assert index_readme.for_index(page, "") == "a [c](https://c.example) [d](#d) "
+
+
+def test_classifiers_are_those_of_the_index() -> None:
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
+    known = pytest.importorskip("trove_classifiers", reason="needs trove-classifiers").classifiers
+    assert set(project["classifiers"]) <= set(known)
+
+
+def test_the_pre_commit_hook_is_a_command_of_the_program() -> None:
+    (hook,) = YAML(typ="safe").load((PROJECT / ".pre-commit-hooks.yaml").read_text("utf-8"))
+    assert (hook["id"], hook["entry"]) == ("check", "insdvl-replay check")
+    assert hook["pass_filenames"] is False
 
 
 def test_no_module_is_named_like_one_of_the_standard_library() -> None:
