@@ -239,7 +239,7 @@ def observability_claims(study: Result) -> Iterator[Claim]:
     )
     yield judged(
         place,
-        "accelerations beside velocities do not change what is observable",
+        "accelerations next to velocities do not change what is observable",
         f"rank {rank['velocity']}, with accelerations {rank['velocity + published']}",
         bool(rank["velocity"] == rank["velocity + published"]),
     )

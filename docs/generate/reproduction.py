@@ -310,7 +310,7 @@ def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
 
 def tuning(found: Findings) -> str:
     """How settings and sensors decide whether a believed improvement is a true one."""
-    studies = {("lawnmower", "levy-klein", "as the filter believes"): found.montecarlo}
+    studies = {("lawnmower", "levy-klein", "as the filter expects"): found.montecarlo}
     studies |= {(*key, "fibre-optic"): study for key, study in found.fog.items()}
     return markdown_table(
         ("scenario", "sensors", "settings", "predicted", "true", "NEES: baseline", "with accelerations"),
