@@ -15,6 +15,7 @@ from insdvl_replay.core.quantities import CONSISTENT
 from insdvl_replay.core.result import Cell, Row, StoredReport, StoredResult
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, Better, Number, TableLayout
 from insdvl_replay.core.words import ChangeWord
+from insdvl_replay.show.document import FORMS, MISSING
 
 PRINTED_DIGITS: Final = 4
 PRINTED_PERCENT_UNIT: Final = 0.1
@@ -41,46 +42,41 @@ class Change(Struct, frozen=True):
     change_pct: Number  # of the size; in percentage points where it is a percentage
     word: ChangeWord
 
+    @property
+    def growth(self) -> str:
+        """By how much the size grew, with the unit; the word where there is no percentage."""
+        if self.change_pct is None:
+            return self.word
+        return f"{FORMS['signed_percent'](self.change_pct)} {'points' if self.column.endswith(PERCENTAGE) else '%'}"
 
-def rounding(old: float, new: float, column: str) -> float:
-    """Return the difference of two numbers that says nothing; a percentage is of numbers that are 100 % or so."""
-    return ROUNDING * max(100.0 if column.endswith(PERCENTAGE) else 0.0, min(abs(old), abs(new)))
+    @property
+    def grown(self) -> str:
+        """The same of a number, nothing of words."""
+        return MISSING if self.change is None else self.growth
 
 
-def rounding_pct(old: float, new: float, column: str) -> float:
-    """Return the change of a size, as `size_change_pct` has it, that says nothing."""
-    return rounding(old, new, column) if column.endswith(PERCENTAGE) else 100.0 * ROUNDING
+class Moved(NamedTuple):
+    """What became of a cell: new minus old, the change of the size in percent, the word, and what counts as better."""
+
+    change: float | None
+    change_pct: float | None
+    word: ChangeWord
+    better: Better | None = None
 
 
 def agree(old: float, new: float, column: str) -> bool:
     """Return whether two numbers are the same, but for a difference that says nothing."""
-    return old == new or abs(new - old) <= rounding(old, new, column)
+    return old == new or abs(new - old) <= _rounding(old, new, column)
+
+
+def _rounding(old: float, new: float, column: str) -> float:
+    """Return the difference that says nothing; a percentage is of numbers that are 100 % or so."""
+    return ROUNDING * max(100.0 if column.endswith(PERCENTAGE) else 0.0, min(abs(old), abs(new)))
 
 
 def within(change: float, allowed: float, digits: float) -> bool:
     """Return whether a change is no more than allowed, but for digits that say nothing."""
     return change <= allowed * (1.0 + ROUNDING) + digits
-
-
-def size(value: float, better: Better, dof: float = math.nan) -> float:
-    """Return what is compared of a number: of a mean NIS how many times it is off its dof, infinite for zero."""
-    if better == "nearer zero":
-        return abs(value)
-    if better == "nearer dof":
-        ratio = value / dof
-        return max(ratio, 1.0 / ratio) if ratio > 0.0 else math.inf
-    return value
-
-
-def size_change_pct(old: float, new: float, column: str) -> float | None:
-    """State by how much a size grew, in percent or points; None from zero, and from or to an infinite size."""
-    if old == new:
-        return 0.0
-    if column.endswith(PERCENTAGE):
-        return new - old
-    if old == 0.0 or math.isinf(old) or math.isinf(new):
-        return None
-    return 100.0 * (new - old) / abs(old)
 
 
 def prints_alike(old: float, new: float, column: str) -> bool:
@@ -93,14 +89,6 @@ def prints_alike(old: float, new: float, column: str) -> bool:
     return abs(new - old) <= unit * (1.0 + ROUNDING)
 
 
-class Moved(NamedTuple):
-    """What became of a cell: new minus old, the change of the size in percent, and the word."""
-
-    change: float | None
-    change_pct: float | None
-    word: ChangeWord
-
-
 def judge_number(
     old: float | None,
     new: float | None,
@@ -109,21 +97,39 @@ def judge_number(
     *,
     dofs: tuple[float, float] = (math.nan, math.nan),
     tolerance_pct: float | None = None,
+    tolerance_abs: float | None = None,
 ) -> Moved:
-    """Judge what became of a number; without a tolerance the same is what prints alike. ``dofs``: old and new."""
+    """Judge what became of a number. Without a tolerance the same is what prints alike; of two the larger counts."""
     if old is None or new is None:
         word = ChangeWord.WORSE if new is None else ChangeWord.BETTER
-        return Moved(None, None, ChangeWord.SAME if old is new else word)
-    before, after = size(old, better, dofs[0]), size(new, better, dofs[1])
-    change_pct = size_change_pct(before, after, column)
-    if tolerance_pct is None:
+        return Moved(None, None, ChangeWord.SAME if old is new else word, better)
+    before, after = (_size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
+    digits, digits_pct = _rounding(before, after, column), 100.0 * ROUNDING
+    change_pct: float | None = None  # from zero, and from or to an infinite size
+    if before == after:
+        change_pct = 0.0
+    elif column.endswith(PERCENTAGE):
+        change_pct, digits_pct = after - before, digits
+    elif before != 0.0 and math.isfinite(before) and math.isfinite(after):
+        change_pct = 100.0 * (after - before) / abs(before)
+    alike = before == after
+    if tolerance_pct is None and tolerance_abs is None:
         alike = prints_alike(before, after, column)
-    else:
-        digits = rounding_pct(before, after, column)
-        alike = before == after or (change_pct is not None and within(abs(change_pct), tolerance_pct, digits))
+    if tolerance_pct is not None and change_pct is not None:
+        alike |= within(abs(change_pct), tolerance_pct, digits_pct)
+    if tolerance_abs is not None:
+        alike |= within(abs(after - before), tolerance_abs, digits)
     is_better = (after > before) == (better == "higher")
     word = ChangeWord.SAME if alike else ChangeWord.BETTER if is_better else ChangeWord.WORSE
-    return Moved(new - old, change_pct, word)
+    return Moved(new - old, change_pct, word, better)
+
+
+def _size(value: float, better: Better, dof: float) -> float:
+    """Return what is compared of a number; of a mean NIS of zero it is infinite."""
+    if better == "nearer dof":
+        ratio = value / dof
+        return max(ratio, 1.0 / ratio) if ratio > 0.0 else math.inf
+    return abs(value) if better == "nearer zero" else value
 
 
 def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeWord:
@@ -135,48 +141,51 @@ def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeWord:
     return ChangeWord.WORSE if best_first.index(str(new)) > best_first.index(str(old)) else ChangeWord.BETTER
 
 
-def direction_of(layout: TableLayout, column: str, row: Row) -> tuple[Better | None, float]:
-    """Return what is better in a cell, and the degrees of freedom that it may be nearer to; NaN where it has none.
-
-    A mean NIS or NEES over its degrees of freedom, as the evidence on honesty has it, is better the nearer it is to 1.
-    """
-    if layout.name == "evidence" and row.get("evidence") == CONSISTENT and column in ("baseline", "value"):
-        return "nearer dof", 1.0
-    dof = row.get("dof")
-    return layout.better.get(column), float(dof) if isinstance(dof, int | float) else math.nan
-
-
-def judge_cell(old: Row, new: Row, column: str, layout: TableLayout, tolerance_pct: float | None) -> Moved:
-    """Judge what became of a cell that both rows have."""
-    was, is_ = old[column], new[column]
-    (_, dof_before), (better, dof_after) = (direction_of(layout, column, row) for row in (old, new))
-    dofs = dof_before, dof_after
+def judge_cell(
+    old: Row,
+    new: Row,
+    column: str,
+    layout: TableLayout,
+    tolerance_pct: float | None = None,
+    tolerance_abs: float | None = None,
+) -> Moved:
+    """Judge what became of a cell that both rows have, in its own direction."""
+    was, is_, better = old[column], new[column], layout.better.get(column)
+    dofs = _dof(old), _dof(new)
+    if layout.name == "evidence" and new.get("evidence") == CONSISTENT and column in ("baseline", "value"):
+        better, dofs = "nearer dof", (1.0, 1.0)  # NIS and NEES over their degrees of freedom
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None
-    if isinstance(was, float) and isinstance(is_, float) and better is None and agree(was, is_, column):
-        return Moved(is_ - was, None, ChangeWord.SAME)
-    if better is None or isinstance(was, str) or isinstance(is_, str):
-        numbers = isinstance(was, int | float) and isinstance(is_, int | float)
-        change = float(is_) - float(was) if numbers else None  # type: ignore[arg-type]
-        return Moved(change, None, rank_word(was, is_, layout.words.get(column, ())))
-    return judge_number(was, is_, column, better, dofs=dofs, tolerance_pct=tolerance_pct)
+    if better is not None and not isinstance(was, str) and not isinstance(is_, str):
+        return judge_number(
+            was, is_, column, better, dofs=dofs, tolerance_pct=tolerance_pct, tolerance_abs=tolerance_abs
+        )
+    if not (isinstance(was, int | float) and isinstance(is_, int | float)):
+        return Moved(None, None, rank_word(was, is_, layout.words.get(column, ())))
+    same = better is None and isinstance(was, float) and isinstance(is_, float) and agree(was, is_, column)
+    word = ChangeWord.SAME if same else rank_word(was, is_, layout.words.get(column, ()))
+    return Moved(float(is_) - float(was), None, word)
 
 
-def rows_of(report: StoredReport, layout: TableLayout) -> list[Row]:
-    """Return the rows of a table; the candidates' block is one. They have ``filter`` and the layout's key."""
+def _dof(row: Row) -> float:
+    dof = row.get("dof")
+    return float(dof) if isinstance(dof, int | float) else math.nan
+
+
+def named_rows(report: StoredReport, layout: TableLayout, place: object = "") -> dict[tuple[str, str, str], Row]:
+    """Return the rows of a table by filter, key and unit; a ResultError says that two have the same name.
+
+    The candidates' block is a table, too: its rows are known by their filters.
+    """
+    found = report.tables.get(layout.name, [])
     if layout is CANDIDATES:
-        return [{"filter": name, **row} for name, row in report.filters.items()]
-    return report.tables.get(layout.name, [])
-
-
-def named_rows(result: StoredResult, layout: TableLayout) -> dict[tuple[str, str, str], Row]:
-    """Return the rows of a table by filter, key and unit; a ResultError says that two have the same name."""
+        found = [{"filter": name, **row} for name, row in report.filters.items()]
     rows: dict[tuple[str, str, str], Row] = {}
-    for number, row in enumerate(rows_of(result.report, layout), 1):
+    for number, row in enumerate(found, 1):
         name = str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")
         if name in rows:
-            place = f"{result.folder}: table {layout.name}, row {number}"
-            raise ResultError(f"{place}: is the second one of {name[0]}, {name[1]}", "replay the log again")
+            where = f"{place or report.log.name}: table {layout.name}, row {number}"
+            raise ResultError(f"{where}: is the second one of {name[0]}, {name[1]}", "replay the log again")
         rows[name] = row
     return rows
 
@@ -184,12 +193,12 @@ def named_rows(result: StoredResult, layout: TableLayout) -> dict[tuple[str, str
 def changes_of(
     old: StoredResult, new: StoredResult, layouts: Sequence[TableLayout], tolerance_pct: float | None
 ) -> Iterator[Change]:
-    """Compare the tables of one dive, row by row.
+    """Compare the tables of one dive, cell by cell.
 
     What counts as better or worse is always listed; counts, limits and words without rank only where they changed.
     """
     for layout in layouts:
-        befores, afters = named_rows(old, layout), named_rows(new, layout)
+        befores, afters = (named_rows(side.report, layout, side.folder) for side in (old, new))
         skipped = NAMES | {layout.key} | {column for table, column in SENTENCES if table == layout.name}
         for name in dict.fromkeys((*afters, *befores)):
             before, after = befores.get(name, {}), afters.get(name, {})
@@ -202,4 +211,4 @@ def changes_of(
                 if moved.word != ChangeWord.SAME or column in layout.better or column in layout.words:
                     filter_, row, unit = name
                     place = new.name, layout.name, filter_, row, layout.unit_of(column, unit), column
-                    yield Change(*place, before.get(column), after.get(column), *moved)
+                    yield Change(*place, before.get(column), after.get(column), *moved[:3])

@@ -1,15 +1,15 @@
 """Two sets of results side by side: which dives belong together, what differs, which values moved, and how it is shown.
 
-`compare_results` gives a `Comparison`; `brief_document` and `comparison_document` lay it out; `find_violation` holds it
-against a limit.
+`compare_results` gives a `Comparison`, `comparison_result` what is shown of it; `find_violation` holds it against a
+limit.
 """
 
-import dataclasses
 import json
 import math
 import re
 from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace as with_fields
 from pathlib import Path
 from statistics import median
 from typing import Any, Final, NamedTuple
@@ -21,20 +21,22 @@ from insdvl_replay.changes.cells import ROUNDING, Change, changes_of, named_rows
 from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import (
+    Block,
     Callout,
     DisplayTable,
     Only,
     Part,
+    Result,
     Sentences,
     StoredReport,
     StoredResult,
     Title,
     flattened,
 )
-from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, PERCENTAGE, RATIO, Number, TableLayout
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, RATIO, Number, TableLayout
 from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results
-from insdvl_replay.show.document import FORMS, MISSING, blocks_csv, counted, table_of
+from insdvl_replay.show.document import FORMS, MISSING, Column, counted, table_of
 
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 """What may differ beside the tables, in the order of what a reader asks first."""
@@ -48,8 +50,9 @@ _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (la
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 _JUDGED: Final = {"improvement": "{} is now {}, was {}", "belief": "what {} believes is now {}, was {}"}
 """By column of the candidates what is said where its word changed."""
-HONESTY_ROWS: Final = ("nis", "nees")
-_Pair = tuple[StoredResult, StoredResult]
+_OFF_ONE: Final = ("nis", "nees")
+"""Rows of the evidence that are better the nearer they are to 1, which their ratio is of."""
+_Pairs = Sequence[tuple[StoredResult, StoredResult]]
 
 
 class Difference(Struct, frozen=True):
@@ -154,23 +157,40 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     layouts = [layout for layout in LAYOUTS if not selection.tables or layout.name in selection.tables]
     (before, notes_before), (after, notes_after) = read_results(old), read_results(new)
     matching = match_dives(before, after)
+    both = [(was, is_, how) for was, is_, how in matching if was and is_]
+    for name in selection.logs:
+        require_known("dive", name, [is_.name for _, is_, _ in both])
     if selection.logs:
-        for name in selection.logs:
-            require_known("dive", name, [result.name for _, result, _ in matching.pairs])
-        matching = Matching([pair for pair in matching.pairs if pair[1].name in selection.logs], [], [])
-    as_stored = [(was, is_) for was, is_, _ in matching.pairs]
-    renamed = with_new_names([was for was, _ in as_stored], selection.filter_pairs)
-    pairs = [(was, is_) for was, (_, is_) in zip(renamed, as_stored, strict=True)]
-    notes = (*notes_before, *notes_after, *require_common_candidate(pairs), *_table_notes(pairs, layouts))
-    _require_something(pairs, layouts, selection.columns)
+        both = [found for found in both if found[1].name in selection.logs]
+        matching = []
+    renamed = with_new_names([was for was, _, _ in both], selection.filter_pairs)
+    pairs = [(was, is_) for was, (_, is_, _) in zip(renamed, both, strict=True)]
+    notes = (*notes_before, *notes_after, *_notes_on_filters(pairs), *_notes_on_tables(pairs, layouts))
+    # A comparison of nothing must not pass.
+    rows = [
+        row
+        for pair in pairs
+        for result in pair
+        for layout in layouts
+        for row in named_rows(result.report, layout, result.folder).values()
+    ]
+    if not rows:
+        names = ", ".join(layout.name for layout in layouts)
+        raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see what there is")
+    for name in selection.columns:
+        require_known("column", name, list(dict.fromkeys(column for row in rows for column in row)))
+
     changes, dives = list[Change](), list[DiveComparison]()
-    for (was, is_), (_, _, how) in zip(pairs, matching.pairs, strict=True):
+    for (was, is_), (_, _, how) in zip(pairs, both, strict=True):
         cells = changes_of(was, is_, layouts, selection.tolerance_pct)
         found = [cell for cell in cells if not selection.columns or cell.column in selection.columns]
         dives.append(DiveComparison(is_.name, str(was.folder), str(is_.folder), how, tally(found)))
         changes += found
-    dives += [DiveComparison(gone.name, str(gone.folder), None, MatchedBy.NOTHING, None) for gone in matching.removed]
-    dives += [DiveComparison(added.name, None, str(added.folder), MatchedBy.NOTHING, None) for added in matching.new]
+    for lost, added, how in matching:
+        if lost is not None and added is None:
+            dives.append(DiveComparison(lost.name, str(lost.folder), None, how, None))
+        elif added is not None and lost is None:
+            dives.append(DiveComparison(added.name, None, str(added.folder), how, None))
     tables = dict.fromkeys(change.table for change in changes)
     return Comparison(
         old=str(old),
@@ -178,21 +198,13 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
         tolerance_pct=selection.tolerance_pct,
         total=tally(changes),
         by_table={name: tally([change for change in changes if change.table == name]) for name in tables},
-        differences=differences(as_stored),
+        differences=_differences([(was, is_) for was, is_, _ in both]),
         dives=tuple(dives),
         aggregates=aggregates(changes),
         changes=tuple(changes),
         notes=notes,
         baseline=next((is_.report.baseline for _, is_ in pairs), ""),
     )
-
-
-class Matching(NamedTuple):
-    """Old and new results of the same dive, and what they were matched by; and those without counterpart."""
-
-    pairs: list[tuple[StoredResult, StoredResult, MatchedBy]]
-    removed: list[StoredResult]
-    new: list[StoredResult]
 
 
 # Results of one log in several folders are told apart by their place, then by their name.
@@ -205,57 +217,48 @@ _KEYS: Final[tuple[tuple[MatchedBy, Callable[[StoredResult], Hashable]], ...]] =
 )
 
 
-def match_dives(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> Matching:
-    """Match results of the same dive, by the hash of the log, else by name.
+def match_dives(
+    old: Sequence[StoredResult], new: Sequence[StoredResult]
+) -> list[tuple[StoredResult | None, StoredResult | None, MatchedBy]]:
+    """Match results of the same dive, by the hash of the log, else by name; those without counterpart come last.
 
     Two single results are matched whatever they are: they were meant.
     """
-    if len(old) == len(new) == 1:
-        (was,), (is_,) = old, new
-        same_log = was.report.log.sha256 and was.report.log.sha256 == is_.report.log.sha256
-        how = MatchedBy.HASH if same_log else MatchedBy.NAME if was.name == is_.name else MatchedBy.CHOICE
-        return Matching([(was, is_, how)], [], [])
-    left, found = {id(result): result for result in old}, dict[int, tuple[StoredResult, MatchedBy]]()
+    found, before, after = dict[int, tuple[StoredResult, MatchedBy]](), list(old), list(new)
     for how, key in _KEYS:
-        unmatched = [result for result in new if id(result) not in found]
-        theirs, ours = (_unique(results, how, key) for results in (left.values(), unmatched))
-        for value in theirs.keys() & ours.keys():
-            found[id(ours[value])] = theirs[value], how
-            del left[id(theirs[value])]
-    unmatched = [result for result in new if id(result) not in found]
-    _require_unambiguous(list(left.values()), unmatched)
+        alone = []
+        for results in (before, after):
+            # A dive that was never a file has no hash.
+            known = [result for result in results if how != MatchedBy.HASH or result.report.log.sha256]
+            times = Counter(map(key, known))
+            alone.append({key(result): result for result in known if times[key(result)] == 1})
+        theirs, ours = alone
+        found |= {id(ours[value]): (theirs[value], how) for value in theirs.keys() & ours.keys()}
+        taken = {id(was) for was, _ in found.values()}
+        before = [result for result in before if id(result) not in taken]
+        after = [result for result in after if id(result) not in found]
+    if len(old) == len(new) == 1 and not found:
+        return [(old[0], new[0], MatchedBy.CHOICE)]
+    # A dive that is left on both sides has several results, and nothing says which belong together.
+    for result in after:
+        digest = result.report.log.sha256
+        if any(other.name == result.name or (digest and other.report.log.sha256 == digest) for other in before):
+            folders = [str(other.folder) for other in (*before, *after) if other.name == result.name]
+            raise ConfigError(
+                f"{result.name}: several results could belong together: {', '.join(folders)}",
+                "name the two folders that are to be compared",
+            )
     if not found:
         old_names, new_names = ([result.name for result in results] for results in (old, new))
         raise ConfigError(
             f"no dive of {listed(old_names)} is among {listed(new_names)}, by hash or by name",
             "name two folders that hold results of the same logs, or two single results",
         )
-    pairs = [(found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found]
-    return Matching(pairs, list(left.values()), unmatched)
-
-
-def _unique(
-    results: Iterable[StoredResult], how: MatchedBy, key: Callable[[StoredResult], Hashable]
-) -> dict[Hashable, StoredResult]:
-    """Return the results that are alone with their key. A dive that was never a file has no hash."""
-    by_key: dict[Hashable, list[StoredResult]] = {}
-    for result in results:
-        if how != MatchedBy.HASH or result.report.log.sha256:
-            by_key.setdefault(key(result), []).append(result)
-    return {value: together[0] for value, together in by_key.items() if len(together) == 1}
-
-
-def _require_unambiguous(old: Sequence[StoredResult], new: Sequence[StoredResult]) -> None:
-    """Raise if a dive is left on both sides: it has several results, and nothing says which belong together."""
-    shared = {result.name for result in old} & {result.name for result in new}
-    hashes = {result.report.log.sha256 for result in old} & {result.report.log.sha256 for result in new} - {""}
-    for result in new:
-        if result.name in shared or result.report.log.sha256 in hashes:
-            folders = [str(other.folder) for other in (*old, *new) if other.name == result.name]
-            raise ConfigError(
-                f"{result.name}: several results could belong together: {', '.join(folders)}",
-                "name the two folders that are to be compared",
-            )
+    return [
+        *((found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found),
+        *((result, None, MatchedBy.NOTHING) for result in before),
+        *((None, result, MatchedBy.NOTHING) for result in after),
+    ]
 
 
 def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
@@ -290,65 +293,43 @@ def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) ->
             baseline=pairs.get(report.baseline, report.baseline),
         )
 
-    return [StoredResult(result.folder, result.below, renamed(result.report)) for result in results]
+    return [with_fields(result, report=renamed(result.report)) for result in results]
 
 
-def require_common_candidate(pairs: Sequence[_Pair]) -> list[Note]:
-    """Raise if no candidate is on both sides of any dive; note those that are on one side only."""
-    sides = {"old": [set(old.report.filters) for old, _ in pairs], "new": [set(new.report.filters) for _, new in pairs]}
-    every = {side: set[str]().union(*names) for side, names in sides.items()}
-    alone = {
-        side: Counter(name for own, others in zip(sides[side], sides[other], strict=True) for name in own - others)
-        for side, other in (("old", "new"), ("new", "old"))
-    }
-    if all(every.values()) and not any(old & new for old, new in zip(sides["old"], sides["new"], strict=True)):
-        theirs, ours = (sorted(every[side]) for side in ("old", "new"))
+def _notes_on_filters(pairs: _Pairs) -> Iterator[Note]:
+    """Note the candidates that are on one side only; raise if none is on both sides of any dive."""
+    names = [tuple(set(side.report.filters) for side in pair) for pair in pairs]
+    theirs, ours = (sorted(set[str]().union(*side)) for side in zip(*names, strict=True))
+    if theirs and ours and not any(old & new for old, new in names):
         raise ConfigError(
             f"no candidate of the old results ({', '.join(theirs)}) is among the new ones ({', '.join(ours)})",
             f"say which belong together with --pair {theirs[0]}={ours[0]}",
         )
-    words = {"old": ChangeWord.GONE, "new": ChangeWord.NEW}
-    return [
-        Note(
-            "filter_on_one_side",
-            f"filter {name} is in the {side} results alone (dives: {count}); its rows are {words[side]}",
-            count,
-            Severity.WARNING,
-            "--pair OLD=NEW compares filters of different names",
-        )
-        for side, counts in alone.items()
-        for name, count in sorted(counts.items())
-    ]
+    gone = Counter(name for old, new in names for name in old - new)
+    added = Counter(name for old, new in names for name in new - old)
+    for side, word, counts in (("old", ChangeWord.GONE, gone), ("new", ChangeWord.NEW, added)):
+        for name, count in sorted(counts.items()):
+            text = f"filter {name} is in the {side} results alone (dives: {count}); its rows are {word}"
+            hint = "--pair OLD=NEW compares filters of different names"
+            yield Note("filter_on_one_side", text, count, Severity.WARNING, hint)
 
 
-def _require_something(pairs: Sequence[_Pair], layouts: Sequence[TableLayout], wanted: Sequence[str]) -> None:
-    """Raise if a column that was asked for is nowhere, or no table has rows: a comparison of nothing must not pass."""
-    results = [result for pair in pairs for result in pair]
-    rows = [row for result in results for layout in layouts for row in named_rows(result, layout).values()]
-    if not rows:
-        names = ", ".join(layout.name for layout in layouts)
-        raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see what there is")
-    for name in wanted:
-        require_known("column", name, list(dict.fromkeys(column for row in rows for column in row)))
-
-
-def _table_notes(pairs: Sequence[_Pair], layouts: Sequence[TableLayout]) -> Iterator[Note]:
+def _notes_on_tables(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[Note]:
     """Count the dives in which a table is on one side only, or of no known kind."""
     for layout in layouts:
-        have = [(bool(named_rows(old, layout)), bool(named_rows(new, layout))) for old, new in pairs]
+        have = [tuple(bool(named_rows(side.report, layout, side.folder)) for side in pair) for pair in pairs]
         for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
             if count := have.count(missing):
                 whose = f"the {side} results of {counted(count, 'dive')}"
                 text = f"table {layout.name}: {whose} have no rows; all its rows are {word}"
                 yield Note("table_on_one_side", text, count, Severity.WARNING)
-    known = {layout.name for layout in LAYOUTS}
-    unknown = Counter(table for pair in pairs for result in pair for table in {*result.report.tables} - known)
+    unknown = Counter(table for pair in pairs for side in pair for table in {*side.report.tables} - _ORDER.keys())
     for table, count in unknown.items():
         text = f"table {table}: this version does not know it, and leaves it out"
         yield Note("table_unknown", text, count, Severity.WARNING, "compare with the version that wrote it")
 
 
-def differences(pairs: Sequence[_Pair]) -> tuple[Difference, ...]:
+def _differences(pairs: _Pairs) -> tuple[Difference, ...]:
     """Name everything beside the tables that differs, once, with the dives that it concerns."""
     logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
     for old, new in pairs:
@@ -398,18 +379,18 @@ def loss_of(change: Change) -> float:
     return -amount if change.word == ChangeWord.BETTER else amount
 
 
-def worst_of(changes: Iterable[Change]) -> Change | None:
-    """Name the largest loss, in the primary column of a table before all others; the first of equals."""
-    return max(changes, key=lambda change: ((change.table, change.column) in _PRIMARY, loss_of(change)), default=None)
+def _most(changes: Iterable[Change], sign: float) -> Change | None:
+    """Name the largest loss, or gain, in the primary column of a table before all others; the first of equals."""
+    found = [change for change in changes if sign * loss_of(change) > 0.0]
+    return max(
+        found, key=lambda change: ((change.table, change.column) in _PRIMARY, sign * loss_of(change)), default=None
+    )
 
 
 def tally(changes: Sequence[Change]) -> Tally:
     """Count cells by word, and name the largest loss and gain."""
     counts = Counter(change.word for change in changes)
-    gains = [change for change in changes if loss_of(change) < 0.0]
-    best = max(gains, key=lambda change: ((change.table, change.column) in _PRIMARY, -loss_of(change)), default=None)
-    worst = worst_of(change for change in changes if loss_of(change) > 0.0)
-    return Tally({word: counts[word] for word in ChangeWord}, worst, best)
+    return Tally({word: counts[word] for word in ChangeWord}, _most(changes, 1.0), _most(changes, -1.0))
 
 
 def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
@@ -445,55 +426,53 @@ def only_changed(comparison: Comparison) -> Comparison:
     )
 
 
-# --- Limits.
-
-
-def parse_percentage(text: str, before: str) -> float:
-    """Read a percentage such as ``0.1%``; what was typed before it is for the message."""
+def parse_percentage(text: str, option: str) -> float:
+    """Read a percentage such as ``0.1%``; the option is for the message."""
     match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+) ?%", text.strip())
     if match is None:
-        raise ConfigError(f"{before}{text}: is not a percentage", f"write {before}0.5%")
+        raise ConfigError(f"{option} {text}: is not a percentage", f"write {option} 0.5%")
     return float(match[1])
 
 
-def parse_limit(text: str) -> float | None:
-    """Read a limit: ``worse`` or ``worse:5%``, in percent or percentage points, or ``changed``, which is None."""
-    word, colon, percentage = text.partition(":")
-    if text == ChangeWord.CHANGED:
-        return None
-    if word != ChangeWord.WORSE:
-        raise ConfigError(
-            f"--fail-on {text}: is not known", "write --fail-on worse, --fail-on worse:5% or --fail-on changed"
-        )
-    return parse_percentage(percentage, "--fail-on worse:") if colon else 0.0
-
-
-def find_violation(comparison: Comparison, above_pct: float | None) -> str:
-    """State what is worse than allowed, or not the same, and what most; empty where nothing is.
+def find_violation(comparison: Comparison, above_pct: float) -> str:
+    """State what is worse by more than allowed, in percent or percentage points, and what most; empty for nothing.
 
     A verdict that fell, a number that was lost or grew from zero, and a row or dive that is gone exceed every limit.
     """
-    changes = [
-        change
-        for change in comparison.changes
-        if (
-            change.word != ChangeWord.SAME
-            if above_pct is None
-            else not within(loss_of(change), above_pct, 100.0 * ROUNDING)
-        )
-    ]
-    dives = [dive.log for dive in comparison.dives if dive.new is None or (above_pct is None and dive.old is None)]
+    changes = [change for change in comparison.changes if not within(loss_of(change), above_pct, 100.0 * ROUNDING)]
     reasons = []
-    if worst := worst_of(changes):
-        worse = f"{'are' if len(changes) > 1 else 'is'} worse{f' by more than {above_pct:g} %' if above_pct else ''}"
-        verb = ChangeWord.CHANGED if above_pct is None else worse
-        reasons.append(f"{counted(len(changes), 'value')} {verb}; worst: {described(worst)}")
-    if dives:
-        reasons.append(f"{counted(len(dives), 'dive')} without counterpart: {', '.join(dives)}")
+    if worst := _most(changes, 1.0):
+        more = f" by more than {above_pct:g} %" if above_pct else ""
+        worse = f"{'are' if len(changes) > 1 else 'is'} worse{more}"
+        reasons.append(f"{counted(len(changes), 'value')} {worse}; worst: {described(worst)}")
+    if gone := [dive.log for dive in comparison.dives if dive.new is None]:
+        reasons.append(f"{counted(len(gone), 'dive')} without counterpart: {', '.join(gone)}")
     return "; ".join(reasons)
 
 
 # --- Show.
+
+
+def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
+    """Return a comparison with what is shown of it."""
+    dives = [
+        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeWord))
+        for dive in comparison.dives
+    ]
+    return Result(
+        kind="comparison",
+        title=_title(comparison),
+        tables={
+            "difference": Block.of(Difference, comparison.differences),
+            "dive": Block(("log", "old", "new", "matched_by", *ChangeWord), dives),
+            "aggregate": Block.of(Aggregate, comparison.aggregates),
+            "change": Block.of(Change, comparison.changes),
+        },
+        block="part",
+        notes=comparison.notes,
+        document=document,
+        data=comparison,
+    )
 
 
 def brief_document(comparison: Comparison) -> list[Part]:
@@ -504,32 +483,36 @@ def brief_document(comparison: Comparison) -> list[Part]:
         tables = [_values(moved)]
     apart = tuple(f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None)
     verdicts = _changed_verdicts(comparison)
+    elsewhere = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
+    found = f"values that moved, by table: {', '.join(elsewhere)}" if elsewhere else "no value moved"
+    same = counted(comparison.total.counts[ChangeWord.SAME], "value")
     return [
         Title(_title(comparison)),
         *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
         _brief_differences(comparison.differences) if comparison.differences else ALIKE,
-        *(dataclasses.replace(table, title_apart=True) for table in tables),
+        *(with_fields(table, title_apart=True) for table in tables),
         *([Sentences(apart)] if apart else []),
-        Sentences((_moved_elsewhere(comparison),)),
+        Sentences((f"{found}; {same} the same; --all shows them, --table NAME some",)),
     ]
 
 
 def comparison_document(comparison: Comparison) -> list[Part]:
     """Lay out all of a comparison."""
+    dives, several = comparison.dives, len(comparison.matched) > 1
+    tables = [_differences_table(comparison)] if comparison.differences else []
+    if len(dives) > 1:
+        # The dives in which something moved; the others are counted.
+        moved = [dive for dive in dives if dive.tally is None or dive.tally.moved]
+        still = len(dives) - len(moved)
+        footnote = f"and {counted(still, 'dive')} in which nothing moved" if still else ""
+        tables.append(_tallies("Dives", "dive", [(dive.log, dive.tally, dive.only_side) for dive in moved], footnote))
+    tables.append(_tallies("Tables", "table", [(name, counts, "") for name, counts in comparison.by_table.items()]))
+    tables.append(_values_over_dives(comparison.aggregates) if several else _values(comparison.changes))
     rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
-    several = len(comparison.matched) > 1
-    values = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
-    by_table = [(name, counts, "") for name, counts in comparison.by_table.items()]
-    tables = [
-        *([_differences_table(comparison)] if comparison.differences else []),
-        *([_dives_table(comparison.dives)] if len(comparison.dives) > 1 else []),
-        _tallies("Tables", "table", by_table),
-        values,
-    ]
     return [
         Title(_title(comparison)),
         *map(Callout, opening_lines(comparison)),
-        *(dataclasses.replace(table, title_apart=True) for table in tables),
+        *(with_fields(table, title_apart=True) for table in tables),
         *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []),
     ]
 
@@ -549,39 +532,15 @@ def opening_lines(comparison: Comparison) -> list[str]:
     ]
 
 
-def comparison_csv(comparison: Comparison) -> str:
-    """Write differences, dives, aggregates and changes one after the other."""
-    dives = (
-        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeWord))
-        for dive in comparison.dives
-    )
-    found = ((*astuple(difference)[:4], "; ".join(difference.logs)) for difference in comparison.differences)
-    return blocks_csv(
-        "part",
-        {
-            "difference": (Difference.__struct_fields__, found),
-            "dive": (("log", "old", "new", "matched_by", *ChangeWord), dives),
-            "aggregate": (Aggregate.__struct_fields__, map(astuple, comparison.aggregates)),
-            "change": (Change.__struct_fields__, map(astuple, comparison.changes)),
-        },
-    )
-
-
 def described(change: Change) -> str:
-    """State in one line where a cell stands and how it moved."""
-    row = "" if change.row == change.filter else f" {change.row}"
+    """State in one line where a cell is and how it moved."""
     old, new = FORMS["cell"](change.old), FORMS["cell"](change.new)
     unit = f" {change.unit}" if change.unit else ""
-    cell = f"{change.log}, {change.table}: {change.filter}{row} {change.column}"
-    return f"{cell} from {old} to {new}{unit} ({growth(change)})"
+    return f"{change.log}, {change.table}: {_named(change)} from {old} to {new}{unit} ({change.growth})"
 
 
-def growth(change: Change) -> str:
-    """State by how much a cell's size grew, with the unit; its word where there is no percentage."""
-    if change.change_pct is None:
-        return change.word
-    unit = "points" if change.column.endswith(PERCENTAGE) else "%"
-    return f"{FORMS['signed_percent'](change.change_pct)} {unit}"
+def _named(change: Change) -> str:
+    return " ".join((*dict.fromkeys((change.filter, change.row)), change.column))
 
 
 def _title(comparison: Comparison) -> str:
@@ -626,42 +585,43 @@ def _brief_differences(found: Sequence[Difference]) -> Sentences:
     return Sentences((*lines, *([f"{left} more differ: --all"] if left > 0 else [])))
 
 
-def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
-    """Lay out errors and times of the evidence that moved; of honesty how far it is from 1, which its ratio gives."""
+# --- Tables.
 
-    def is_shown(cell: Change | Aggregate) -> bool:
-        wanted = (RATIO,) if cell.row in HONESTY_ROWS else ("value", "baseline")
-        return cell.table == "evidence" and cell.column in wanted
+_OLD_AND_NEW: Final[tuple[Column, ...]] = (
+    ("old", "r", "old:cell"),
+    ("new", "r", "new:cell"),
+    ("change", "r", "grown"),
+    ("", "l", "word"),
+)
+
+
+def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
+    """Lay out errors and times of the evidence that moved; of NIS and NEES how far they are from 1."""
 
     def owner(cell: Change | Aggregate) -> str:
         return comparison.baseline if cell.column == "baseline" else cell.filter
 
     def name(cell: Change | Aggregate) -> str:
-        return f"{cell.row.upper()} off 1, times the baseline's" if cell.row in HONESTY_ROWS else label(cell.row)
+        return f"{cell.row.upper()} off 1, times the baseline's" if cell.row in _OFF_ONE else label(cell.row)
 
     changed, several = only_changed(comparison), len(comparison.matched) > 1
     cells: tuple[Change | Aggregate, ...] = changed.aggregates if several else changed.changes
     # The baseline's values are in the rows of each candidate: once is enough.
-    rows = [*{(owner(cell), cell.row): cell for cell in reversed(cells) if is_shown(cell)}.values()][::-1]
-    columns: list[Any] = [("filter", "l", owner), ("evidence", "l", name)]
-    if several:
-        columns += [(key, "r", lambda cell, key=key: str(getattr(cell, key))) for key in ("better", "worse", "same")]
-        columns += [
-            ("median [%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
-            ("worst [%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
-            ("in", "l", lambda cell: cell.worst_log),
-        ]
-    else:
-        columns += [
-            ("", "l", lambda change: change.unit),
-            ("old", "r", lambda change: FORMS["cell"](change.old)),
-            ("new", "r", lambda change: FORMS["cell"](change.new)),
-            ("change", "r", growth),
-            ("", "l", lambda change: change.word),
-        ]
+    rows: dict[tuple[str, str], Change | Aggregate] = {}
+    for cell in cells:
+        if cell.table == "evidence" and cell.column in ((RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")):
+            rows.setdefault((owner(cell), cell.row), cell)
+    over_dives: tuple[Column, ...] = (
+        *((key, "r", key) for key in ("better", "worse", "same")),
+        ("median [%]", "r", "median_change_pct:signed_percent"),
+        ("worst [%]", "r", "worst_change_pct:signed_percent"),
+        ("in", "l", "worst_log"),
+    )
+    columns: tuple[Column, ...] = over_dives if several else (("", "l", "unit"), *_OLD_AND_NEW)
+    title, spare = ("Evidence that moved, in dives", (7, 4, 6)) if several else ("Evidence that moved", (2, 3, 4))
     if rows:
-        title, spare = ("Evidence that moved, in dives", (7, 4, 6)) if several else ("Evidence that moved", (2, 3, 4))
-        yield table_of(title, rows, columns, spare=spare)
+        columns = (("filter", "l", owner), ("evidence", "l", name), *columns)
+        yield table_of(title, rows.values(), columns, spare=spare)
 
 
 def _cell_name(cell: Change | Aggregate) -> str:
@@ -671,36 +631,19 @@ def _cell_name(cell: Change | Aggregate) -> str:
 
 
 def _values(changes: Sequence[Change]) -> DisplayTable:
-    columns = [
-        ("value", "l", _cell_name),
-        ("old", "r", lambda change: FORMS["cell"](change.old)),
-        ("new", "r", lambda change: FORMS["cell"](change.new)),
-        ("change", "r", lambda change: growth(change) if change.change is not None else MISSING),
-        ("", "l", lambda change: change.word),
-    ]
     footnote = "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof"
-    return table_of("Values, old and new", changes, columns, footnote)
+    return table_of("Values, old and new", changes, (("value", "l", _cell_name), *_OLD_AND_NEW), footnote)
 
 
 def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
-    columns = [
+    columns: tuple[Column, ...] = (
         ("value", "l", _cell_name),
-        ("dives", "r", lambda cell: str(cell.dives)),
-        ("better", "r", lambda cell: str(cell.better)),
-        ("worse", "r", lambda cell: str(cell.worse)),
-        ("median\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.median_change_pct)),
-        ("worst\n[%]", "r", lambda cell: FORMS["signed_percent"](cell.worst_change_pct)),
+        *((key, "r", key) for key in ("dives", "better", "worse")),
+        ("median\n[%]", "r", "median_change_pct:signed_percent"),
+        ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
         ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeWord.SAME else cell.worst_log),
-    ]
+    )
     return table_of("Values over the dives", cells, columns)
-
-
-def _moved_elsewhere(comparison: Comparison) -> str:
-    """Count what moved in the other tables."""
-    moved = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
-    said = f"values that moved, by table: {', '.join(moved)}" if moved else "no value moved"
-    same = counted(comparison.total.counts[ChangeWord.SAME], "value")
-    return f"{said}; {same} the same; --all shows them, --table NAME some"
 
 
 def _differences_table(comparison: Comparison) -> DisplayTable:
@@ -710,23 +653,14 @@ def _differences_table(comparison: Comparison) -> DisplayTable:
     def text(item: Difference, value: str | None) -> str:
         return MISSING if value is None else value[:_HASH_DIGITS] if item.key == "sha256" else value
 
-    columns = [
+    columns: list[Column] = [
         ("what", "l", lambda item: f"{item.block} {item.key}"),
         ("old", "l", lambda item: text(item, item.old)),
         ("new", "l", lambda item: text(item, item.new)),
-        *([] if in_all else [("dives", "l", lambda item: _where(item.logs, dives))]),
+        ("dives", "l", lambda item: _where(item.logs, dives)),
     ]
-    return table_of(
-        f"What differs beside the tables{' (in all dives)' if in_all and dives > 1 else ''}", found, columns
-    )
-
-
-def _dives_table(dives: Sequence[DiveComparison]) -> DisplayTable:
-    """Show the dives in which something moved, and count the others."""
-    moved = [dive for dive in dives if dive.tally is None or dive.tally.moved]
-    still = len(dives) - len(moved)
-    footnote = f"and {counted(still, 'dive')} in which nothing moved" if still else ""
-    return _tallies("Dives", "dive", [(dive.log, dive.tally, dive.only_side) for dive in moved], footnote)
+    title = f"What differs beside the tables{' (in all dives)' if in_all and dives > 1 else ''}"
+    return table_of(title, found, columns[:-1] if in_all else columns)
 
 
 def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]], footnote: str = "") -> DisplayTable:
@@ -734,12 +668,9 @@ def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]
     words = [word for word in ChangeWord if any(found is not None and found.counts[word] for _, found, _ in named)]
     rows = []
     for name, found, otherwise in named:
-        counts = [MISSING if found is None else str(found.counts[word]) for word in words]
-        worst = MISSING if found is None or found.worst is None else _place(found.worst)
-        rows.append((name, *counts, otherwise if found is None else worst))
+        if found is None:
+            rows.append((name, *[MISSING] * len(words), otherwise))
+            continue
+        worst = MISSING if found.worst is None else f"{_named(found.worst)} {found.worst.growth}"
+        rows.append((name, *(str(found.counts[word]) for word in words), worst))
     return DisplayTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows), footnote)
-
-
-def _place(change: Change) -> str:
-    row = "" if change.row == change.filter else f" {change.row}"
-    return f"{change.filter}{row} {change.column} {growth(change)}"

@@ -5,11 +5,12 @@ baseline; the last part of this module makes baselines.
 """
 
 import difflib
+import fnmatch
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeGuard
 
@@ -17,16 +18,7 @@ import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import asdict, replace
 
-from insdvl_replay.changes.cells import (
-    agree,
-    direction_of,
-    rounding,
-    rounding_pct,
-    rows_of,
-    size,
-    size_change_pct,
-    within,
-)
+from insdvl_replay.changes.cells import agree, judge_cell, named_rows
 from insdvl_replay.core.config_file import converted, read_toml
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import (
@@ -42,10 +34,11 @@ from insdvl_replay.core.errors import (
 from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport, as_json
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, TABLES, EvidenceRow, PooledRow, TableLayout, layout_of
-from insdvl_replay.core.words import GateLevel, GateStatus, ReferenceStatus
+from insdvl_replay.core.words import ChangeWord, GateLevel, GateStatus, ReferenceStatus
 from insdvl_replay.core.words import Judgement as Word
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
 from insdvl_replay.results.stored_results import read_results
+from insdvl_replay.show.document import MISSING
 
 if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.
@@ -101,6 +94,11 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     share_of_dives_pct: Share | None = None  # the gate holds if so many of the dives that are meant pass it
     level: GateLevel = GateLevel.ERROR
 
+    @property
+    def wanted(self) -> tuple[str | int | float, ...]:
+        """The values that it may have."""
+        return self.equals if isinstance(self.equals, tuple) else () if self.equals is None else (self.equals,)
+
 
 class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A file of gates; its paths are seen from its folder."""
@@ -125,6 +123,45 @@ class Finding(Struct, frozen=True):
     passed: bool
     unit: str = ""  # of the two values
     allowed: str = ""  # by how much it may be worse than the baseline's
+
+    @property
+    def place(self) -> str:
+        """Where the cell is."""
+        return f"{self.table} {self.filter} {self.row}: {self.column}"
+
+    @property
+    def has_moved(self) -> bool:
+        """Whether the value is another one, in the digits in which all processors agree."""
+        return _with_digits(self.was, 9) != _with_digits(self.value, 9)
+
+    @property
+    def is_seen_to_move(self) -> bool:
+        """Whether the value is another one, in the digits that are shown."""
+        return _with_digits(self.was, 4) != _with_digits(self.value, 4)
+
+    @property
+    def short_was(self) -> str:
+        """The baseline's value in four digits."""
+        return _with_digits(self.was, 4)
+
+    @property
+    def short(self) -> str:
+        """The value in four digits, with its unit."""
+        return f"{_with_digits(self.value, 4)}{f' {self.unit}' if self.unit else ''}"
+
+    @property
+    def growth(self) -> str:
+        """By how much the value grew."""
+        was, now = self.was, self.value
+        if not isinstance(was, int | float) or not isinstance(now, int | float):
+            return "changed"
+        if self.column.endswith(PERCENTAGE):
+            return f"{now - was:+.3g} points"
+        return f"{100.0 * (now - was) / abs(was):+.3g} %" if was else "from zero"
+
+
+def _with_digits(value: Cell, digits: int) -> str:
+    return MISSING if value is None else f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 class Judgement(Struct, frozen=True):
@@ -168,11 +205,11 @@ class Gates:
 
     path: Path
     content: GateFile
-    lines: tuple[int, ...]  # where each gate begins; 0 if that is not known
+    lines: dict[str, int]  # by its name where a gate begins
 
     def where(self, gate: Gate) -> str:
         """Name a gate and its place, for messages."""
-        line = self.lines[self.content.gate.index(gate)]
+        line = self.lines.get(gate.name)
         return f"{self.path}{f':{line}' if line else ''}: gate '{gate.name}'"
 
 
@@ -190,31 +227,28 @@ def load_gates(path: Path) -> Gates:
             _check_gate(gate)
     content = converted(source.content, GateFile, source)
     names = [gate.name for gate in content.gate]
-    for name in names:
-        if names.count(name) > 1:
+    for name, times in Counter(names).items():
+        if times > 1:
             raise ConfigError(f"two gates bear the name '{name}'", "give each a name of its own", source.name)
     if all(gate.level == GateLevel.OFF for gate in content.gate):
         raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error", source.name)
     lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
-    return Gates(path, content, tuple(lines if len(lines) == len(content.gate) else [0] * len(content.gate)))
+    return Gates(path, content, dict(zip(names, lines, strict=True)) if len(lines) == len(names) else {})
 
 
 def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
     """Keep the gates whose names are like one of the patterns ``only``, and like none of ``skip``."""
     names = [gate.name for gate in gates.content.gate]
-    for pattern in (*only, *skip):
-        if not any(fnmatchcase(name, pattern) for name in names):
+    alike = {pattern: fnmatch.filter(names, pattern) for pattern in (*only, *skip)}
+    for pattern, found in alike.items():
+        if not found:
             raise ConfigError(f"{gates.path}: no gate is called '{pattern}'", f"gates: {listed(names)}")
-    kept = [
-        (gate, line)
-        for gate, line in zip(gates.content.gate, gates.lines, strict=True)
-        if (not only or any(fnmatchcase(gate.name, pattern) for pattern in only))
-        and not any(fnmatchcase(gate.name, pattern) for pattern in skip)
-    ]
-    if not kept:
+    wanted = {name for pattern in only for name in alike[pattern]} if only else set(names)
+    wanted -= {name for pattern in skip for name in alike[pattern]}
+    if not wanted:
         raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
-    chosen, lines = zip(*kept, strict=True)
-    return Gates(gates.path, replace(gates.content, gate=chosen), lines)
+    kept = tuple(gate for gate in gates.content.gate if gate.name in wanted)
+    return Gates(gates.path, replace(gates.content, gate=kept), gates.lines)
 
 
 def _check_gate(gate: Gate) -> None:
@@ -273,42 +307,42 @@ def require_known_names(
         with error_context(gates.where(gate)):
             if gate.table == TRAJECTORY:
                 require_known("filter", gate.filter, [ANY, *(filters or (gate.filter,))])
-                continue
-            require_known("table", gate.table, [ANY, TRAJECTORY, *(layout.name for layout in LAYOUTS)])
-            named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
-            columns = {layout.name: set(layout.columns) - {"log", "filter", layout.key} for layout in named}
-            known = [name for layout in named for name in layout.columns if name in columns[layout.name]]
-            require_known("column", gate.column, list(dict.fromkeys(known)))
-            layouts = [layout for layout in named if gate.column in columns[layout.name]]
-            # Of candidates nobody knows the names yet where results are stored.
-            if filters is not None or CANDIDATES not in layouts:
-                rows = [row for layout in layouts for row in layout.rows or (filters or ())[1:]]
-                kind = " or ".join(dict.fromkeys(layout.key for layout in layouts))
-                require_known(kind, gate.row, [ANY, *dict.fromkeys(rows)])
-            if filters is not None:
-                require_known("filter", gate.filter, [ANY, *filters])
-                if gate.filter == filters[0] and not any(layout.baseline_too for layout in layouts):
-                    raise ConfigError(
-                        f"filter '{filters[0]}' is the baseline, which has no rows of its own in {gate.table}",
-                        f"name a candidate: {', '.join(filters[1:])}; its rows have columns of the baseline, too",
-                    )
-            for layout in layouts:
-                _require_fitting_condition(gate, layout)
+            else:
+                _require_known_cells(gate, filters)
 
 
-def _require_fitting_condition(gate: Gate, layout: TableLayout) -> None:
-    """Refuse a condition that the column's kind can never meet."""
-    words, column = layout.kinds[gate.column] == "text", f"column '{gate.column}' of {layout.name}"
-    if words and not (gate.min is None and gate.max is None):
-        raise ConfigError(f"{column} holds words, which have no limits", "use equals")
-    wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
-    if gate.equals is not None and not any(isinstance(value, str) == words for value in wanted):
-        raise ConfigError(f"equals: {column} holds {'words' if words else 'numbers'}, found {gate.equals!r}")
-    if gate.baseline is not None and gate.column not in layout.better:
-        raise ConfigError(
-            f"{column} is neither better nor worse, so no baseline can be kept to",
-            f"one of {', '.join(layout.better)}, or equals, min or max",
-        )
+def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
+    require_known("table", gate.table, [ANY, TRAJECTORY, *(layout.name for layout in LAYOUTS)])
+    named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
+    columns = {
+        layout.name: [name for name in layout.columns if name not in ("log", "filter", layout.key)] for layout in named
+    }
+    require_known("column", gate.column, list(dict.fromkeys(name for names in columns.values() for name in names)))
+    layouts = [layout for layout in named if gate.column in columns[layout.name]]
+    # Of candidates nobody knows the names yet where results are stored.
+    if filters is not None or CANDIDATES not in layouts:
+        rows = [row for layout in layouts for row in layout.rows or (filters or ())[1:]]
+        kind = " or ".join(dict.fromkeys(layout.key for layout in layouts))
+        require_known(kind, gate.row, [ANY, *dict.fromkeys(rows)])
+    if filters is not None:
+        require_known("filter", gate.filter, [ANY, *filters])
+        if gate.filter == filters[0] and not any(layout.baseline_too for layout in layouts):
+            raise ConfigError(
+                f"filter '{filters[0]}' is the baseline, which has no rows of its own in {gate.table}",
+                f"name a candidate: {', '.join(filters[1:])}; its rows have columns of the baseline, too",
+            )
+    # A condition that the column's kind can never meet
+    for layout in layouts:
+        words, column = layout.kinds[gate.column] == "text", f"column '{gate.column}' of {layout.name}"
+        if words and not (gate.min is None and gate.max is None):
+            raise ConfigError(f"{column} holds words, which have no limits", "use equals")
+        if gate.wanted and not any(isinstance(value, str) == words for value in gate.wanted):
+            raise ConfigError(f"equals: {column} holds {'words' if words else 'numbers'}, found {gate.equals!r}")
+        if gate.baseline is not None and gate.column not in layout.better:
+            raise ConfigError(
+                f"{column} is neither better nor worse, so no baseline can be kept to",
+                f"one of {', '.join(layout.better)}, or equals, min or max",
+            )
 
 
 # --- Dives.
@@ -337,18 +371,17 @@ def checked_results(folder: Path) -> Iterator[Checked]:
         yield Checked(folder.name, error)
 
 
-def evaluate_gates(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
+def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
     """Hold every dive against every gate that means it, and all together against those on the pooled evidence."""
-    dives, placed = list(dives), list(zip(gates.content.gate, gates.lines, strict=True))
     judgements = [
-        _evaluated(gates, gate, line, dive)
+        _evaluated(gates, gate, dive)
         for dive in dives
-        for gate, line in placed
+        for gate in gates.content.gate
         if gate.table != POOLED and is_meant(gate, dive.name)
     ]
-    for gate, line in placed:
+    for gate in gates.content.gate:
         if gate.table == POOLED:
-            judgements.append(_evaluated(gates, gate, line, pooled_dive(dives)))
+            judgements.append(_evaluated(gates, gate, pooled_dive(dives)))
         share_pct, own = gate.share_of_dives_pct, [item for item in judgements if item.gate == gate.name]
         passed = sum(item.status == GateStatus.PASSED for item in own)
         # Failures on single dives are warnings where enough of the others passed.
@@ -371,7 +404,7 @@ def evaluate_gates(gates: Gates, dives: Iterable[Checked]) -> CheckResult:
 
 def is_meant(gate: Gate, dive: str) -> bool:
     """Return whether a gate means a dive, by its name."""
-    return not gate.dives or any(fnmatchcase(dive, pattern) for pattern in gate.dives)
+    return not gate.dives or any(fnmatch.fnmatchcase(dive, pattern) for pattern in gate.dives)
 
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
@@ -392,28 +425,28 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
     return Checked(EVERY_DIVE, StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline))
 
 
-def _evaluated(gates: Gates, gate: Gate, line: int, dive: Checked) -> Judgement:
+def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> Judgement:
     held = gate.table == TRAJECTORY and gate.baseline is not None
-    missed = GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
+    judgement = Judgement(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0), is_trajectory=held)
     if gate.level == GateLevel.OFF:
-        return Judgement(dive.name, gate.name, GateStatus.OFF, line=line)
+        return replace(judgement, is_trajectory=False)
     if isinstance(dive.result, Exception):
-        reasons: tuple[str, ...] = (str(dive.result),)
-        return Judgement(dive.name, gate.name, GateStatus.UNUSABLE, reasons, line=line, is_trajectory=held)
+        return replace(judgement, status=GateStatus.UNUSABLE, reasons=(str(dive.result),))
+    findings: tuple[Finding, ...] = ()
     try:
         baseline = None if gate.baseline is None else _baseline(gates, gate, dive.result.log)
         findings = _findings(gate, dive, dive.result, baseline)
+        reasons = tuple(finding.sentence for finding in findings if not finding.passed)
     except UserError as error:
         reasons = (f"{error.message}; {error.hint}",)
-        return Judgement(dive.name, gate.name, missed, reasons, line=line, is_trajectory=held)
-    reasons = tuple(finding.sentence for finding in findings if not finding.passed)
-    return Judgement(dive.name, gate.name, missed if reasons else GateStatus.PASSED, reasons, findings, line, held)
+    missed = GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
+    return replace(judgement, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings)
 
 
-def _findings(gate: Gate, dive: Checked, result: StoredReport, baseline: Any) -> tuple[Finding, ...]:
+def _findings(gate: Gate, dive: Checked, report: StoredReport, baseline: Any) -> tuple[Finding, ...]:
     if gate.table == TRAJECTORY:
         return trajectory_findings(gate, _trajectory(dive), baseline)
-    return gate_findings(gate, result, baseline)
+    return gate_findings(gate, report, baseline)
 
 
 def _trajectory(dive: Checked) -> "Trajectory | None":
@@ -425,110 +458,93 @@ def _trajectory(dive: Checked) -> "Trajectory | None":
 # --- Gates on cells.
 
 
-def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
-    """Return a finding for each cell that a gate means, passed or not and why; one not passed if it means none."""
-    findings = list[Finding]()
-    for layout in (layout for layout in LAYOUTS if gate.table in (ANY, layout.name)):
-        rows = rows_of(report, layout)
-        before = {_name(row, layout): row for row in rows_of(baseline, layout)} if baseline else {}
-        for row in (row for row in rows if _means(gate, layout, row)):
-            filter_, key = _name(row, layout)
-            was, value = before.get((filter_, key)), row.get(gate.column)
-            complaint = _complaint(gate, layout, row, was, report)
-            unit, old = _unit(layout, row, gate.column), was.get(gate.column) if was else None
-            sentence = f"{_cell(gate, layout, row)} {complaint or _statement(layout, row, gate.column, was)}"
-            cell, end = (layout.name, filter_, key, gate.column, old, value), (unit.strip(), _allowed(gate))
-            findings.append(Finding(*cell, sentence, not complaint, *end))
-        # A star in the gate means the rows that only the baseline has, too.
-        left = {_name(row, layout) for row in rows}
-        for (filter_, key), was in before.items():
-            if (filter_, key) not in left and _means(gate, layout, was):
-                old = was.get(gate.column)
-                sentence = f"{_cell(gate, layout, was)} is gone with its row, the baseline has {value_text(old)}"
-                findings.append(Finding(layout.name, filter_, key, gate.column, old, None, sentence, passed=False))
-    if findings:
-        return tuple(findings)
-    # Name what the gate may have meant.
-    meant = [(layout, row) for layout in LAYOUTS if gate.table in (ANY, layout.name) for row in rows_of(report, layout)]
-    known = {
-        gate.row: {str(row[layout.key]) for layout, row in meant},
-        gate.filter: {str(row["filter"]) for _, row in meant},
-    }
-    name, names = next(((name, names) for name, names in known.items() if name not in (ANY, *names)), ("", set[str]()))
-    nearest = difflib.get_close_matches(name, sorted(names), n=1, cutoff=0.5)
-    sentence = (
-        f"no row of {report.log.name} is meant by table {gate.table}, filter {gate.filter}, row {gate.row}, "
-        f"column {gate.column}{''.join(f'; did you mean {near}?' for near in nearest)}"
-    )
-    return (Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),)
+def _layouts(gate: Gate) -> list[TableLayout]:
+    return [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
 
 
-def _name(row: Row, layout: TableLayout) -> tuple[str, str]:
-    return str(row["filter"]), str(row[layout.key])
-
-
-def _means(gate: Gate, layout: TableLayout, row: Row) -> bool:
-    is_named = gate.filter in (ANY, row["filter"]) and gate.row in (ANY, row[layout.key])
+def _means(gate: Gate, name: tuple[str, str, str], row: Row) -> bool:
+    is_named = gate.filter in (ANY, name[0]) and gate.row in (ANY, name[1])
     return is_named and (gate.table != ANY or gate.column in row)
 
 
-def _complaint(gate: Gate, layout: TableLayout, row: Row, was: Row | None, report: StoredReport) -> str:
-    """State why a cell does not pass; empty if it does."""
-    value, column, unit = row.get(gate.column), gate.column, _unit(layout, row, gate.column)
+def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
+    """Return a finding for each cell that a gate means, passed or not and why; one not passed if it means none."""
+    findings, column = list[Finding](), gate.column
+    for layout in _layouts(gate):
+        rows, before = named_rows(report, layout), named_rows(baseline, layout) if baseline else {}
+        # A star in the gate means the rows that only the baseline has, too.
+        for name in dict.fromkeys((*rows, *before)):
+            row, was = rows.get(name, {}), before.get(name, {})
+            if not _means(gate, name, row or was):
+                continue
+            old, value, unit = was.get(column), row.get(column), layout.unit_of(column, name[2])
+            statement = f"{value_text(value)}{f' {unit}' if unit else ''}"
+            statement = f"is {statement}" if old is None else f"went from {value_text(old)} to {statement}"
+            complaint = f"is gone with its row, the baseline has {value_text(old)}"
+            if row:
+                is_evaluated = report.filters.get(name[0], {}).get("improvement") != Word.NOT_EVALUATED
+                complaints = _complaints(gate, layout, row, was, unit, statement, is_evaluated=is_evaluated)
+                complaint = "; ".join(complaints)
+            sentence = f"{layout.name} {' '.join(dict.fromkeys(name[:2]))}: {column} {complaint or statement}"
+            end = (unit, _allowed(gate)) if row else ()
+            findings.append(Finding(layout.name, *name[:2], column, old, value, sentence, not complaint, *end))
+    if findings:
+        return tuple(findings)
+    # Name what the gate may have meant.
+    names, nearest = [name for layout in _layouts(gate) for name in named_rows(report, layout)], list[str]()
+    for wanted, known in ((gate.filter, {name[0] for name in names}), (gate.row, {name[1] for name in names})):
+        if wanted not in (ANY, *known):
+            nearest = difflib.get_close_matches(wanted, sorted(known), n=1, cutoff=0.5)
+    sentence = (
+        f"no row of {report.log.name} is meant by table {gate.table}, filter {gate.filter}, row {gate.row}, "
+        f"column {column}{''.join(f'; did you mean {near}?' for near in nearest)}"
+    )
+    return (Finding(gate.table, gate.filter, gate.row, column, None, None, sentence, passed=False),)
+
+
+def _complaints(
+    gate: Gate, layout: TableLayout, row: Row, was: Row, unit: str, statement: str, *, is_evaluated: bool
+) -> Iterator[str]:
+    """State why a cell does not pass; nothing if it does."""
+    column, value, old = gate.column, row.get(gate.column), was.get(gate.column)
     # A cell of gain or loss fails where the filter is not evaluated; the verdict itself can pass.
     is_beside = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
-    if is_gain and report.filters.get(str(row["filter"]), {}).get("improvement") == Word.NOT_EVALUATED:
-        return f"is {value_text(value)}, and the filter is {Word.NOT_EVALUATED}"
+    if is_gain and not is_evaluated:
+        yield f"is {value_text(value)}, and the filter is {Word.NOT_EVALUATED}"
+        return
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
-        return f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
+        yield f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
+        return
     if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
-        return f"is empty{f' ({word})' if word else ''}"
-    complaints = list[str]()
+        yield f"is empty{f' ({word})' if word else ''}"
+        return
     if gate.equals is not None:
-        wanted = gate.equals if isinstance(gate.equals, tuple) else (gate.equals,)
-        is_close = any(
-            isinstance(value, float) and isinstance(one_of, float | int) and agree(value, one_of, column)
-            for one_of in wanted
-        )
-        if (value not in wanted or isinstance(value, bool)) and not is_close:
-            complaints.append(f"is {value_text(value)}, {' or '.join(map(value_text, wanted))} is wanted")
-    if not (gate.min is None and gate.max is None) and not _is_number(value):
-        complaints.append(f"is the word {value!r}, a number is wanted")
-    elif _is_number(value):
-        if gate.min is not None and not (value >= gate.min or agree(value, gate.min, column)):
-            complaints.append(f"is {value_text(value)}{unit}, at least {value_text(gate.min)} is wanted")
-        if gate.max is not None and not (value <= gate.max or agree(value, gate.max, column)):
-            complaints.append(f"is {value_text(value)}{unit}, at most {value_text(gate.max)} is wanted")
-    if gate.baseline is not None:
-        complaints += _worse_than_baseline(gate, layout, row, was or {})
-    return "; ".join(complaints)
-
-
-def _worse_than_baseline(gate: Gate, layout: TableLayout, row: Row, was: Row) -> Iterator[str]:
-    """Compare with the stored value; of two allowances the larger one counts."""
-    old, new, column = was.get(gate.column), row[gate.column], gate.column
-    better, dof = direction_of(layout, column, row)
-    dofs = direction_of(layout, column, was)[1], dof
-    if not _is_number(old) or not _is_number(new):
+        is_close = any(_is_number(wanted) and isinstance(value, float) and agree(value, wanted, column)
+                       for wanted in gate.wanted)  # fmt: skip
+        if (value not in gate.wanted or isinstance(value, bool)) and not is_close:
+            yield f"is {value_text(value)}, {' or '.join(map(value_text, gate.wanted))} is wanted"
+    for name, sign, limit in (("least", 1.0, gate.min), ("most", -1.0, gate.max)):
+        if limit is None:
+            continue
+        if not _is_number(value):
+            yield f"is the word {value!r}, a number is wanted"
+            break
+        if not (sign * (value - limit) >= 0.0 or agree(value, limit, column)):
+            yield f"is {value_text(value)}{f' {unit}' if unit else ''}, at {name} {value_text(limit)} is wanted"
+    if gate.baseline is None:
+        return
+    if not (_is_number(old) and _is_number(value)):
         yield "has no number in the baseline to compare with"
         return
-    if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
+    moved = judge_cell(was, row, column, layout, gate.max_worse_pct, gate.max_worse_abs)
+    if moved.better is None:
         yield "has no dof beside it, or none in the baseline, to compare by"
-        return
-    if better is None:
-        return
-    before, after = (size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
-    sign = -1.0 if better == "higher" else 1.0
-    change_pct = size_change_pct(before, after, column)
-    worse_pct = math.inf * sign * (after - before) if change_pct is None else sign * change_pct
-    in_percent = worse_pct, gate.max_worse_pct, rounding_pct(before, after, column)
-    in_unit = sign * (after - before), gate.max_worse_abs, rounding(before, after, column)
-    if any(allowed is not None and within(worse, allowed, digits) for worse, allowed, digits in (in_percent, in_unit)):
-        return
-    amount = f"by {worse_pct:.3g} {_percent(column)}" if math.isfinite(worse_pct) else "beyond any percentage"
-    yield f"{_statement(layout, row, column, was)}: worse {amount}, {_allowed(gate)} is allowed"
+    elif moved.word == ChangeWord.WORSE:
+        pct = moved.change_pct
+        amount = "beyond any percentage" if pct is None else f"by {abs(pct):.3g} {_percent(column)}"
+        yield f"{statement}: worse {amount}, {_allowed(gate)} is allowed"
 
 
 def _is_number(value: Cell) -> TypeGuard[float | int]:
@@ -546,20 +562,6 @@ def _percent(column: str) -> str:
     return "percentage points" if column.endswith(PERCENTAGE) else "%"
 
 
-def _cell(gate: Gate, layout: TableLayout, row: Row) -> str:
-    return f"{layout.name} {' '.join(dict.fromkeys(_name(row, layout)))}: {gate.column}"
-
-
-def _statement(layout: TableLayout, row: Row, column: str, was: Row | None) -> str:
-    now, old = f"{value_text(row[column])}{_unit(layout, row, column)}", was.get(column) if was else None
-    return f"is {now}" if old is None else f"went from {value_text(old)} to {now}"
-
-
-def _unit(layout: TableLayout, row: Row, column: str) -> str:
-    unit = layout.unit_of(column, str(row.get("unit", "")))
-    return f" {unit}" if unit else ""
-
-
 def value_text(value: Cell) -> str:
     """Write a value with enough digits to differ from its limit, words as they are."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -574,36 +576,32 @@ def trajectory_findings(
     old: "Trajectory | None",  # the baseline's, for a gate that holds against it
 ) -> tuple[Finding, ...]:
     """Return a finding for each filter that a gate means; one not passed if it means none."""
-
-    def finding(name: str, row: str, sentence: str, *, passed: bool = False) -> Finding:
-        return Finding(TRAJECTORY, name, row or gate.row, "", None, None, sentence, passed)
-
-    if new is None:
-        return (finding(gate.filter, "", "the result has no trajectory: replay the log again"),)
-    names = [name for name in new.names if gate.filter in (ANY, name)]
-    if not names:
-        return (finding(gate.filter, "", f"no filter {gate.filter} in the result"),)
-    if gate.within is not None:
-        found = [(name, *_over_time(gate, gate.within, new, name)) for name in names]
-        return tuple(finding(name, gate.row, sentence, passed=passed) for name, sentence, passed in found)
-    assert old is not None
-    compared = [(name, *_against(gate, new, old, name)) for name in names]
-    gone = [name for name in old.names if name not in new.names and gate.filter in (ANY, name)]
-    return (
-        *(finding(name, row, f"{name}: {sentence}", passed=passed) for name, row, sentence, passed in compared),
-        *(finding(name, "", f"{name}: is gone, the baseline has it") for name in gone),
-    )
+    meant = [name for name in new.names if gate.filter in (ANY, name)] if new else []
+    if new is None or not meant:
+        missing = (
+            f"no filter {gate.filter} in the result" if new else "the result has no trajectory: replay the log again"
+        )
+        return (Finding(TRAJECTORY, gate.filter, gate.row, "", None, None, missing, passed=False),)
+    findings = []
+    for name in meant:
+        row, sentence, passed = _over_time(gate, new, name) if gate.within else _against(gate, new, old, name)
+        findings.append(Finding(TRAJECTORY, name, row, "", None, None, f"{name}: {sentence}", passed))
+    for name in old.names if old else ():
+        if name not in new.names and gate.filter in (ANY, name):
+            sentence = f"{name}: is gone, the baseline has it"
+            findings.append(Finding(TRAJECTORY, name, gate.row, "", None, None, sentence, passed=False))
+    return tuple(findings)
 
 
-def _against(gate: Gate, new: "Trajectory", old: "Trajectory", name: str) -> tuple[str, str, bool]:
+def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str) -> tuple[str, str, bool]:
     """Find the first sample and quantity in which a filter differs from the baseline: row, sentence, passed or not."""
     import numpy as np
 
     samples = len(new.time_s)
-    if name not in old.names:
-        return "", "is not in the baseline", False
+    if old is None or name not in old.names:
+        return gate.row, "is not in the baseline", False
     if not np.array_equal(new.time_s, old.time_s):
-        return "", f"{samples} samples, the baseline has {len(old.time_s)} at other times", False
+        return gate.row, f"{samples} samples, the baseline has {len(old.time_s)} at other times", False
     # By time, then in the order of the columns: the row, the column, where it differs, by how much, what is allowed.
     differences = list[tuple[int, str, Any, Any, float]]()
     for group, columns in GROUPS.items():
@@ -621,7 +619,7 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory", name: str) -> tup
                 if (differs := apart > allowed).any():
                     differences.append((int(np.argmax(differs)), column, differs, apart, allowed))
     if not differences:
-        return "", f"{samples} samples are as before", True
+        return gate.row, f"{samples} samples are as before", True
     first, column, differs, apart, allowed = min(differences, key=lambda difference: difference[0])
     others = f", and {len(differences) - 1} more quantities" if len(differences) > 1 else ""
     sentence = (
@@ -631,13 +629,14 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory", name: str) -> tup
     return column, sentence, False
 
 
-def _over_time(gate: Gate, band: tuple[float, float], trajectory: "Trajectory", name: str) -> tuple[str, bool]:
+def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, str, bool]:
     """Hold a quantity in its band: for a share of the samples, never outside for long, or at one time."""
     import numpy as np
 
     from insdvl_replay.core.dive_columns import find_runs
 
-    (low, high), time_s, values = band, trajectory.time_s, trajectory.of(name, gate.row)
+    low, high = gate.within or (-math.inf, math.inf)
+    time_s, values = trajectory.time_s, trajectory.of(name, gate.row)
     inside, complaints, statement = (values >= low) & (values <= high), list[str](), "it is"  # missing is outside
     if gate.at_s is not None:
         sample = int(np.argmin(np.abs(time_s - gate.at_s)))
@@ -650,17 +649,15 @@ def _over_time(gate: Gate, band: tuple[float, float], trajectory: "Trajectory", 
         wanted_pct = 100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
         if share_pct < wanted_pct:
             complaints.append(f"{share_pct:.1f} % of {len(inside)} samples are, at least {wanted_pct:g} % are wanted")
-        # How long the longest stay outside lasts, a sample a second, and when it begins.
+        # How long each stay outside lasts, a sample a second, and when it begins.
         begins, ends = find_runs(~inside)
-        longest = int(np.argmax(ends - begins)) if len(begins) else 0
-        length_s, begin_s = (
-            (float(ends[longest] - begins[longest]), time_s[begins[longest]]) if len(begins) else (0.0, 0.0)
-        )
+        stays = [(float(end - begin), -float(time_s[begin])) for begin, end in zip(begins, ends, strict=True)]
+        length_s, begin_s = max(stays, default=(0.0, 0.0))
         if longest_s is not None and length_s > longest_s:
-            complaints.append(f"outside for {length_s:g} s from {begin_s:g} s, {longest_s:g} s are allowed")
+            complaints.append(f"outside for {length_s:g} s from {-begin_s:g} s, {longest_s:g} s are allowed")
         statement = f"{share_pct:.1f} % of {len(inside)} samples are, outside for {length_s:g} s at most"
-    sentence = f"{name}: {gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
-    return sentence, not complaints
+    sentence = f"{gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
+    return gate.row, sentence, not complaints
 
 
 # --- Baselines.
@@ -745,13 +742,14 @@ def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gat
 
 def _gated_values(report: StoredReport, gates: Sequence[Gate]) -> dict[str, Any]:
     """Return what names the gated values and what a comparison needs, so that what moves can be read in a review."""
-    tables: dict[str, dict[tuple[str, str], Row]] = {}
+    tables: dict[str, dict[tuple[str, str, str], Row]] = {}
     for gate in gates:
-        for layout in (layout for layout in LAYOUTS if gate.table in (ANY, layout.name)):
+        for layout in _layouts(gate):
             needed = ("log", "filter", layout.key, "unit", "dof", "evidence", gate.column)
-            for row in (row for row in rows_of(report, layout) if _means(gate, layout, row)):
-                kept = tables.setdefault(layout.name, {}).setdefault(_name(row, layout), {})
-                kept.update({name: row[name] for name in needed if name in row})
+            for name, row in named_rows(report, layout).items():
+                if _means(gate, name, row):
+                    kept = tables.setdefault(layout.name, {}).setdefault(name, {})
+                    kept.update({column: row[column] for column in needed if column in row})
     candidates = tables.pop(CANDIDATES.name, {}).values()
     return {
         "tool": {name: report.tool[name] for name in ("name", "version") if name in report.tool},

@@ -7,8 +7,7 @@ import typer
 from insdvl_replay import __version__
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.calibrate import calibrate
-from insdvl_replay.cli.check import check
-from insdvl_replay.cli.compare import compare
+from insdvl_replay.cli.changes import check, compare
 from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run

@@ -2,16 +2,14 @@
 
 from contextlib import ExitStack
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from insdvl_replay.cli.options import (
     AllowCode,
     AllowDamaged,
-    Color,
     Colored,
     ConfigFiles,
     Force,
@@ -28,18 +26,8 @@ if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
 
 
-class Delays(StrEnum):
-    """Whether each dive is late by its own, since clocks are set anew, or all by the same."""
-
-    EACH = "each"
-    ONE = "one"
-
-
-class Mounting(StrEnum):
-    """Whether the configured mounting is about right, or the 24 ways of laying axes along others are tried first."""
-
-    KNOWN = "known"
-    UNKNOWN = "unknown"
+Delays = Literal["each", "one"]
+Mounting = Literal["known", "unknown"]
 
 
 def calibrate(
@@ -62,23 +50,21 @@ def calibrate(
     reference: Annotated[
         bool, typer.Option("--reference", help="Hold it against the dives' references, and calibrate these, too.")
     ] = False,
-    delays: Annotated[Delays, typer.Option("--delays", help="Whether each dive has a delay of its own.")] = Delays.EACH,
-    mounting: Annotated[
-        Mounting, typer.Option("--mounting", help="If it is unknown, 24 are tried first.")
-    ] = Mounting.KNOWN,
+    delays: Annotated[Delays, typer.Option("--delays", help="Whether each dive has a delay of its own.")] = "each",
+    mounting: Annotated[Mounting, typer.Option("--mounting", help="If it is unknown, 24 are tried first.")] = "known",
     hold_out: Annotated[
         list[str],
         typer.Option(
             "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
         ),
     ] = [],  # noqa: B006
-    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = "table",
     allow_damaged: AllowDamaged = False,
     allow_code: AllowCode = False,
     one_dive: OneDive = False,
     force: Force = False,
     verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    color: Colored = "auto",
 ) -> int:
     """Estimate where the DVL sits, how it is turned, how late and how long it reads, and how noisy the sensors are.
 
@@ -124,13 +110,13 @@ def calibrate(
             return failed
         kept, held = _parted(dives, hold_out)
         known, ways = Geometry.of(resolved.dvl), len(possible_axes(kept[0].dive.dvl))
-        if mounting is Mounting.UNKNOWN:
+        if mounting == "unknown":
             resolved = with_mounting(resolved, likeliest_mounting(kept))
             kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
         asked = [dive.innovations() for dive in kept]
-        found = calibrated(asked, resolved, groups, one_delay=delays is Delays.ONE)
+        found = calibrated(asked, resolved, groups, one_delay=delays == "one")
         found = with_reference(found, kept, asked, groups) if reference else found
-        found = found.from_mounting(known, ways) if mounting is Mounting.UNKNOWN else found
+        found = found.from_mounting(known, ways) if mounting == "unknown" else found
         noise = found.noise if found.proposes_noise else None
         others = [held_out_row(dive, found.change, noise) for dive in track_progress("trying it on other dives", held)]
         found = replace(found, held_out=tuple(others))

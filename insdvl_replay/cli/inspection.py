@@ -8,7 +8,6 @@ import typer
 
 from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
 from insdvl_replay.cli.options import (
-    Color,
     Colored,
     ConfigFiles,
     Force,
@@ -37,14 +36,14 @@ def inspect(
     config: ConfigFiles = [],  # noqa: B006
     preset: Preset = None,
     settings: Settings = [],  # noqa: B006
-    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = Format.TABLE,
+    format_: Annotated[Format, typer.Option("--format", help="How it is printed.")] = "table",
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
     ] = False,
     one_dive: OneDive = False,
     force: Force = False,
     verbose: Verbose = 0,
-    color: Colored = Color.AUTO,
+    color: Colored = "auto",
 ) -> int:
     """Say what is in a log, which topics a replay would use and why, and what would stop it.
 
@@ -85,13 +84,13 @@ def inspect(
         except Exception as error:
             code = max(code, log_failure(error, verbose))
             continue
-        if format_ is not Format.JSON:
-            is_csv, space = format_ is Format.CSV, "\n" if inventories else ""
+        if format_ != "json":
+            is_csv, space = format_ == "csv", "\n" if inventories else ""
             text = inventory_csv(inventory) if is_csv else written(inspection_result(inventory), format_)
             write_stdout(space + text)
         inventories.append(inventory)
         inspected.append(dive)
-    if format_ is Format.JSON:
+    if format_ == "json":
         for content in [inventories] if len(dives) > 1 else inventories:
             write_stdout(as_json(content).decode())
     if propose is not None and inspected:

@@ -2,9 +2,8 @@
 
 import re
 from collections.abc import Iterable
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -45,43 +44,10 @@ def _beginning(incomplete: str, names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
-class Format(StrEnum):
-    """How results are printed."""
-
-    TABLE = "table"
-    JSON = "json"
-    CSV = "csv"
-    MARKDOWN = "md"
-    LATEX = "latex"
-
-
-class HistoryFormat(StrEnum):
-    """How histories are written."""
-
-    CSV = "csv"
-    PARQUET = "parquet"
-
-
-class ComparisonFormat(StrEnum):
-    """How a comparison is printed: as all tables are, or as a page."""
-
-    TABLE = "table"
-    JSON = "json"
-    CSV = "csv"
-    MARKDOWN = "md"
-    LATEX = "latex"
-    HTML = "html"
-
-
-class CheckFormat(StrEnum):
-    """How the result of a check is written."""
-
-    TEXT = "text"
-    MARKDOWN = "md"
-    JSON = "json"
-    JUNIT = "junit"
-    GITHUB = "github"
-
+Format = Literal["table", "json", "csv", "md", "latex"]
+PageFormat = Literal["table", "json", "csv", "md", "latex", "html"]
+CheckFormat = Literal["text", "md", "json", "junit", "github"]
+Color = Literal["auto", "always", "never"]
 
 Preset = Annotated[
     str | None,
@@ -157,18 +123,10 @@ Quiet = Annotated[
 ]
 
 
-class Color(StrEnum):
-    """Whether words have colours."""
-
-    AUTO = "auto"
-    ALWAYS = "always"
-    NEVER = "never"
-
-
 def _choose_color(color: Color) -> Color:
     from insdvl_replay.cli.screen import Colors
 
-    Colors.wanted = None if color is Color.AUTO else color is Color.ALWAYS
+    Colors.wanted = None if color == "auto" else color == "always"
     return color
 
 

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -32,7 +32,7 @@ def run(
         int | None,
         typer.Option(metavar="K", min=1, help="Run each filter from K drawn starts; 16 unless the settings say."),
     ] = None,
-    format_: Annotated[opt.Format, typer.Option("--format", help="How the tables are printed.")] = opt.Format.TABLE,
+    format_: Annotated[opt.Format, typer.Option("--format", help="How the tables are printed.")] = "table",
     tables: opt.ChosenTables = [],  # noqa: B006
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
@@ -44,7 +44,7 @@ def run(
         bool, typer.Option("--tum", help="Write trajectories for evo, too: filter_NAME.tum and reference.tum.")
     ] = False,
     history: Annotated[
-        opt.HistoryFormat | None, typer.Option("--history", help="Write the whole history of each filter, too.")
+        Literal["csv", "parquet"] | None, typer.Option("--history", help="Write the whole history of each filter, too.")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: opt.Jobs = 1,
@@ -53,7 +53,7 @@ def run(
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
     quiet: opt.Quiet = False,
-    color: opt.Colored = opt.Color.AUTO,
+    color: opt.Colored = "auto",
 ) -> int:
     """Replay dives through the configured filters.
 
@@ -76,24 +76,22 @@ def run(
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
     from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
-    from insdvl_replay.cli.screen import in_format
+    from insdvl_replay.cli.screen import written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Only, Part, Report
-    from insdvl_replay.core.result import as_json as encode_report
     from insdvl_replay.results.folder import PAGE, result_file
     from insdvl_replay.show.dive import (
-        csv_of,
         dive_document,
         dive_screen,
         heading,
-        json_of,
+        replay_result,
         require_tables,
         tables_named,
     )
     from insdvl_replay.show.dives import Failure, dives_screen, overview_parts
 
-    if history is opt.HistoryFormat.PARQUET:
+    if history == "parquet":
         from insdvl_replay.results.result_files import require_parquet
 
         require_parquet()
@@ -105,25 +103,21 @@ def run(
         allow_damaged=allow_damaged,
         control=control,
         trajectories=tum,
-        history_format=history.value if history else "",
+        history_format=history or "",
     )
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
     overviews = {} if alone else _overviews(dives, output, force=force)
     # The screen has the answer alone; with it, stderr names each result and warning only where it is not the same
     # terminal.
-    shows_screen = format_ is opt.Format.TABLE and not (tables or verbose or quiet)
+    shows_screen = format_ == "table" and not (tables or verbose or quiet)
     talks = not (quiet or (shows_screen and sys.stderr.isatty()))
 
-    def json_of_dives(content: "list[Report] | Report") -> bytes:
-        reports = content if isinstance(content, list) else [content]
-        return json_of(reports, tables) if tables else encode_report(content)
-
-    def written(report: Report, target: Path) -> str:
+    def shown(report: Report, target: Path) -> str:
         parts: Sequence[Part] = [table for chosen in tables for table in tables_named(report, chosen)]
         if not tables:
             parts = dive_screen(report, str(target / PAGE)) if shows_screen else dive_document(report)
-        return in_format(format_, lambda: parts, lambda: json_of_dives(report), lambda: csv_of([report], tables))
+        return written(replay_result(report, parts, tables), format_)
 
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
@@ -141,10 +135,10 @@ def run(
         if outcome.unchanged and alone and not (quiet or talks):
             log_to_stderr(f"unchanged {target}")
         # Of several dives, their screen and what machines read come once all are done.
-        if quiet and format_ is opt.Format.TABLE:
+        if quiet and format_ == "table":
             write_stdout(f"{visible(heading(report))}\n")
-        elif alone or not (shows_screen or format_ in (opt.Format.JSON, opt.Format.CSV)):
-            write_stdout(written(report, target))
+        elif alone or not (shows_screen or format_ in ("json", "csv")):
+            write_stdout(shown(report, target))
         if talks:
             log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
         codes[name] = 0
@@ -166,12 +160,11 @@ def run(
     if unchanged and not (quiet or talks):
         log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
     done = [report for report in reports if isinstance(report, Report)]
-    if not quiet or format_ in (opt.Format.JSON, opt.Format.CSV):
-        shown = overview_parts(reports)
-        if format_ is opt.Format.TABLE:
-            screen = [] if tables else dives_screen(reports, str(output / INDEX))
-            shown = [Only(("terminal",), tuple(screen))]
-        write_stdout(in_format(format_, lambda: shown, lambda: json_of_dives(done), lambda: csv_of(done, tables)))
+    if not quiet or format_ in ("json", "csv"):
+        parts = overview_parts(reports)
+        if format_ == "table":
+            parts = [] if tables else dives_screen(reports, str(output / INDEX))
+        write_stdout(written(replay_result(done, parts or [Only((), ())], tables), format_))
     if failed := [name for name, code in codes.items() if code]:
         reasons = [report.reason for report in reports if isinstance(report, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""

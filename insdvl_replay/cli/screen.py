@@ -4,44 +4,24 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import StrEnum
 from typing import Literal
 
 from rich.console import Console, RenderableType
 
 from insdvl_replay.cli.messages import log_to_stderr
-from insdvl_replay.core.result import Document, Result
+from insdvl_replay.core.result import Result
 from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
-from insdvl_replay.show.page import page
 from insdvl_replay.show.render import document as parts_of
 from insdvl_replay.show.render import render
-from insdvl_replay.show.text import as_latex, as_markdown, for_terminal, spoken
+from insdvl_replay.show.text import for_terminal, spoken
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""
 
 
-def written(result: Result, format_: StrEnum) -> str:
+def written(result: Result, format_: str) -> str:
     """Return a result as ``--format`` asks for it."""
-    return printed(for_terminal(parts_of(result))) if format_.value == "table" else render(result, format_.value)
-
-
-def in_format(
-    format_: StrEnum, document: Callable[[], Document], json: Callable[[], bytes], csv: Callable[[], str]
-) -> str:
-    """Write a result as `--format` asks for it."""
-    match format_.value:
-        case "json":
-            return json().decode()
-        case "csv":
-            return csv()
-        case "md":
-            return as_markdown(document())
-        case "latex":
-            return as_latex(document())
-        case "html":
-            return page(document()).decode()
-    return printed(for_terminal(document()))
+    return printed(for_terminal(parts_of(result))) if format_ == "table" else render(result, format_)
 
 
 class Colors:

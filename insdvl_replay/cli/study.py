@@ -50,10 +50,10 @@ def montecarlo(
     config: opt.ConfigFiles = [],  # noqa: B006
     preset: opt.Preset = None,
     settings: opt.Settings = [],  # noqa: B006
-    format_: StudyFormat = opt.Format.TABLE,
+    format_: StudyFormat = "table",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
-    color: opt.Colored = opt.Color.AUTO,
+    color: opt.Colored = "auto",
 ) -> None:
     """Simulate a dive many times and hold the filters' uncertainty against their true errors.
 
@@ -107,10 +107,10 @@ def window(
     config: opt.ConfigFiles = [],  # noqa: B006
     preset: opt.Preset = None,
     settings: opt.Settings = [],  # noqa: B006
-    format_: StudyFormat = opt.Format.TABLE,
+    format_: StudyFormat = "table",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
-    color: opt.Colored = opt.Color.AUTO,
+    color: opt.Colored = "auto",
 ) -> int:
     """Find the number of past velocities that makes the best acceleration.
 
@@ -154,10 +154,10 @@ def observability(
     config: opt.ConfigFiles = [],  # noqa: B006
     preset: opt.Preset = None,
     settings: opt.Settings = [],  # noqa: B006
-    format_: StudyFormat = opt.Format.TABLE,
+    format_: StudyFormat = "table",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
-    color: opt.Colored = opt.Color.AUTO,
+    color: opt.Colored = "auto",
 ) -> None:
     """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
 

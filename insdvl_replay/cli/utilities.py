@@ -4,10 +4,9 @@ import math
 import re
 import time
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
 
 import typer
 
@@ -238,24 +237,8 @@ def compile_(verbose: opt.Verbose = 0) -> None:
     write_stdout(visible(f"{'was compiled already' if was_warm else took}: {folder}") + "\n")
 
 
-class Kind(StrEnum):
-    """What is drawn."""
-
-    ERROR = "error"
-    TRACK = "track"
-    SIGMA = "sigma"
-    NIS = "nis"
-    OUTAGE = "outage"
-    CONVERGENCE = "convergence"
-
-
-class PictureFormat(StrEnum):
-    """The format of a picture."""
-
-    PDF = "pdf"
-    SVG = "svg"
-    PNG = "png"
-    PGF = "pgf"
+Kind = Literal["error", "track", "sigma", "nis", "outage", "convergence"]
+PictureFormat = Literal["pdf", "svg", "png", "pgf"]
 
 
 def figure(
@@ -264,7 +247,7 @@ def figure(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: KIND and the format, here.")
     ] = None,
-    format_: Annotated[PictureFormat, typer.Option("--format", help="pgf needs LaTeX.")] = PictureFormat.PDF,
+    format_: Annotated[PictureFormat, typer.Option("--format", help="pgf needs LaTeX.")] = "pdf",
     width: Annotated[str, typer.Option(metavar="MM", help="Of the picture, such as 88mm for a column.")] = "88mm",
     states: Annotated[
         str, typer.Option(metavar="NAMES", help="Of sigma: states, or beginnings of their names, such as ba,bg.")
@@ -286,26 +269,24 @@ def figure(
     from insdvl_replay.results.trajectory import KINDS, chosen_states, paper_figure, read_trajectory
     from insdvl_replay.show.paper import drawn
 
-    if states and kind is not Kind.SIGMA:
-        raise ConfigError(
-            f"--states {states}: chooses what sigma draws, and {kind.value} draws no states", "leave it out"
-        )
+    if states and kind != "sigma":
+        raise ConfigError(f"--states {states}: chooses what sigma draws, and {kind} draws no states", "leave it out")
     chosen, width_mm = chosen_states(states), _width_mm(width)
     folder, report = read_one_result(result, StoredReport)
     trajectory = read_trajectory(folder / TRAJECTORY_FILE)
     if trajectory is None:
         raise ConfigError(f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
-    target = output or Path(f"{kind.value}.{format_.value}")
-    if target.suffix != f".{format_.value}":
+    target = output or Path(f"{kind}.{format_}")
+    if target.suffix != f".{format_}":
         ending = target.suffix.lstrip(".")
-        known = list(PictureFormat)
-        hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_.value}')}"
-        raise ConfigError(f"{target}: does not end in .{format_.value}", hint)
+        known = get_args(PictureFormat)
+        hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_}')}"
+        raise ConfigError(f"{target}: does not end in .{format_}", hint)
     with result_file(target, force=force) as path:
-        figure = paper_figure(kind.value, trajectory, report.tables.get("outage", []), chosen)
+        figure = paper_figure(kind, trajectory, report.tables.get("outage", []), chosen)
         if not figure.panels:
-            raise ConfigError(f"there is nothing to draw for {kind.value}", f"kinds: {', '.join(KINDS)}")
-        path.write_bytes(drawn(figure, format_.value, width_mm))
+            raise ConfigError(f"there is nothing to draw for {kind}", f"kinds: {', '.join(KINDS)}")
+        path.write_bytes(drawn(figure, format_, width_mm))
     log_to_stderr(f"wrote {target}")
 
 

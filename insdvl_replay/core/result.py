@@ -20,7 +20,7 @@ The order is title, sentences, figures, tables, notes, provenance; a command wit
 import hashlib
 import platform
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import astuple
 
 from insdvl_replay import __version__
 from insdvl_replay.core.config import Config
@@ -249,19 +250,33 @@ def package_versions() -> dict[str, str]:
 
 
 @dataclass(frozen=True)
+class Block:
+    """A table as CSV has it, where rows of structs do not say it all: without any, or with columns of the moment."""
+
+    header: Sequence[str]
+    rows: Iterable[Sequence[object]]
+
+    @classmethod
+    def of(cls, kind: type[Struct], rows: Iterable[Struct]) -> "Block":
+        """Return rows of a type, of which there may be none."""
+        return cls(kind.__struct_fields__, map(astuple, rows))
+
+
+@dataclass(frozen=True)
 class Result:
     """What a command found."""
 
     kind: str  # montecarlo, window, observability, calibration, inspection, comparison, check, replay
     title: str
     sentences: Sequence[Sentence] = ()
-    tables: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)
+    tables: "Mapping[str, Sequence[Struct] | Block | pd.DataFrame]" = field(default_factory=dict)
     figures: Mapping[str, Figure] = field(default_factory=dict)  # by the names of their files
     notes: Sequence[Note] = ()
     config: Config | None = None  # resolved settings
     arguments: Mapping[str, Any] = field(default_factory=dict)  # what was asked
     facts: Mapping[str, Any] = field(default_factory=dict)  # what was found that is neither sentence nor table
     series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)  # long tables: CSV files only
+    block: str = "table"  # head of the CSV column that names the table of a row; empty: of one table, there is none
     display: Sequence[Part] = ()  # the tables as people see them; empty: each as its row type says
     document: Sequence[Part] = ()  # the whole in the command's own order; empty: in the usual order
     data: Any = None  # what JSON holds, where it is not the above

@@ -12,7 +12,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, visible
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import HELD_OUT, is_whole
-from insdvl_replay.core.result import Report, as_json, build_report, this_tool
+from insdvl_replay.core.result import Block, Report, as_json, build_report, this_tool
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, DVL_AIDING, MG, STATES
 from insdvl_replay.core.tables import each_table
@@ -31,7 +31,7 @@ from insdvl_replay.results.folder import (
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.results.viewer_layouts import viewer_layouts
 from insdvl_replay.show.dive import NO_REFERENCE, dive_page, has_reference
-from insdvl_replay.show.document import structs_csv, table_csv
+from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
         this_tool(),
     )  # fmt: skip
     for layout, rows in each_table(replay.tables):
-        (folder / f"{layout.name}.csv").write_text(structs_csv(layout.row, rows), "utf-8")
+        (folder / f"{layout.name}.csv").write_bytes(table_csv(Block.of(layout.row, rows)))
     if histories:
         # The DVL's velocity and derived acceleration as the first filter that is aided by each met them.
         measured: dict[str, tuple[TimeNs, Floats]] = {}

@@ -8,8 +8,7 @@ from html import escape
 from typing import Any, Final, Protocol, TypeVar
 
 import msgspec
-from msgspec import Struct
-from msgspec.structs import astuple, replace
+from msgspec.structs import replace
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import require_known, visible
@@ -26,6 +25,7 @@ from insdvl_replay.core.result import (
     PAGE,
     PRINTED,
     PRINTED_LONG,
+    Block,
     Callout,
     Code,
     DisplayTable,
@@ -36,9 +36,9 @@ from insdvl_replay.core.result import (
     Panel,
     Part,
     Report,
+    Result,
     Sentences,
     Title,
-    as_json,
     flattened,
 )
 from insdvl_replay.core.tables import (
@@ -63,13 +63,11 @@ from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.show.document import (
     MISSING,
     TENFOLD,
-    blocks_csv,
     counted,
     decimal,
     losses,
     number,
     percent,
-    rows_csv,
     shown,
     significant,
     table_of,
@@ -331,24 +329,21 @@ def require_tables(names: Sequence[str]) -> None:
         require_known("table", name, [layout.name for layout in TABLES], most=len(TABLES))
 
 
-def csv_of(reports: Sequence[Report], names: Sequence[str] = ()) -> str:
-    """Write the rows of all dives as CSV: of one table alone as they are, of several a block a table."""
-    blocks = {
-        layout.name: (tuple(layout.columns), [astuple(row) for report in reports for row in _rows(report, layout.name)])
-        for layout in TABLES
-        if layout.name in names or not names
+def replay_result(found: Report | Sequence[Report], document: Sequence[Part], names: Sequence[str] = ()) -> Result:
+    """Return one dive or several with what is shown; of the tables that are named, data are the rows of all dives."""
+    reports = [found] if isinstance(found, Report) else found
+    rows = {
+        layout.name: [row for report in reports for row in getattr(report.tables, layout.name)] for layout in TABLES
     }
-    return rows_csv(*blocks[names[0]]) if len(names) == 1 else blocks_csv("table", blocks)
-
-
-def json_of(reports: Sequence[Report], names: Sequence[str]) -> bytes:
-    """Write the rows of all dives as JSON, by the names of their tables."""
-    return as_json({name: [row for report in reports for row in _rows(report, name)] for name in names})
-
-
-def _rows(report: Report, name: str) -> Sequence[Struct]:
-    rows: Sequence[Struct] = getattr(report.tables, name)
-    return rows
+    blocks = {layout.name: Block.of(layout.row, rows[layout.name]) for layout in TABLES}
+    return Result(
+        kind="replay",
+        title=", ".join(report.log.name for report in reports),
+        tables={name: block for name, block in blocks.items() if name in names or not names},
+        block="" if len(names) == 1 else "table",
+        document=document,
+        data={name: rows[name] for name in names} if names else found,
+    )
 
 
 def tables_named(report: Report, name: str) -> Iterator[DisplayTable]:

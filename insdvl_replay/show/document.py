@@ -13,7 +13,19 @@ from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import PAGE, CellText, DisplayTable, Document, Figure, Format, Heading, Html, Only, Part
+from insdvl_replay.core.result import (
+    PAGE,
+    Block,
+    CellText,
+    DisplayTable,
+    Document,
+    Figure,
+    Format,
+    Heading,
+    Html,
+    Only,
+    Part,
+)
 from insdvl_replay.core.tables import layout_of
 
 if TYPE_CHECKING:
@@ -145,10 +157,9 @@ def parts_for(format_: Format, document: Document) -> Iterator[Part]:
 
 _FORMULA: Final = ("=", "+", "-", "@")
 """A spreadsheet takes a cell for a formula that begins so; blanks before it are escapes by then."""
-Header = Sequence[str]
 
 
-def rows_csv(header: Header, rows: Iterable[Sequence[object]]) -> str:
+def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Write rows as CSV. A text that a spreadsheet would take for a formula gets an apostrophe before it."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -176,24 +187,25 @@ def _csv_cell(value: object) -> object:
     return text
 
 
-def header_and_rows(table: "Sequence[Struct] | pd.DataFrame") -> tuple[Header, Iterable[Sequence[object]]]:
+Rows = tuple[Sequence[str], Iterable[Sequence[object]]]
+"""Names of columns, and rows."""
+
+
+def header_and_rows(table: "Sequence[Struct] | Block | pd.DataFrame") -> Rows:
     """Return the names and the rows of a table; without rows of structs no name is known."""
+    if isinstance(table, Block):
+        return table.header, table.rows
     if isinstance(table, Sequence):
         return (table[0].__struct_fields__ if table else ()), map(astuple, table)
     return list(table.columns), table.itertuples(index=False, name=None)
 
 
-def table_csv(table: "Sequence[Struct] | pd.DataFrame") -> bytes:
+def table_csv(table: "Sequence[Struct] | Block | pd.DataFrame") -> bytes:
     """Write a table as CSV. Floats have as many digits as it takes to read them back exactly."""
     return rows_csv(*header_and_rows(table)).encode()
 
 
-def structs_csv(kind: type[Struct], rows: Iterable[Struct]) -> str:
-    """Write rows of one type as CSV; the header is there without rows too."""
-    return rows_csv(kind.__struct_fields__, map(astuple, rows))
-
-
-def blocks_csv(column: str, blocks: Mapping[str, tuple[Header, Iterable[Sequence[object]]]]) -> str:
+def blocks_csv(column: str, blocks: Mapping[str, Rows]) -> str:
     """Write tables one after the other, a blank line between them; the first column, ``column``, has their names."""
     return "\n".join(
         rows_csv((column, *header), ((name, *row) for row in rows)) for name, (header, rows) in blocks.items()

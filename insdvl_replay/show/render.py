@@ -23,7 +23,7 @@ from insdvl_replay.core.result import (
     package_versions,
     this_tool,
 )
-from insdvl_replay.show.document import blocks_csv, header_and_rows, losses, shown, table_csv
+from insdvl_replay.show.document import blocks_csv, header_and_rows, losses, rows_csv, shown, table_csv
 from insdvl_replay.show.text import as_latex, as_markdown, sentence_of
 
 
@@ -33,7 +33,8 @@ def render(result: Result, format_: str) -> str:
         case "json":
             return result_json(result).decode()
         case "csv":
-            return blocks_csv("table", {name: header_and_rows(table) for name, table in result.tables.items()})
+            blocks = {name: header_and_rows(table) for name, table in result.tables.items()}
+            return blocks_csv(result.block, blocks) if result.block else rows_csv(*next(iter(blocks.values())))
         case "md":
             return as_markdown(document(result))
         case "latex":

@@ -24,18 +24,18 @@ from insdvl_replay.changes.comparison import (
     aggregates,
     brief_document,
     compare_results,
-    comparison_csv,
     comparison_document,
+    comparison_result,
     find_violation,
     only_changed,
     opening_lines,
-    parse_limit,
 )
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.result import DisplayTable, as_json
 from insdvl_replay.core.tables import LAYOUTS
 from insdvl_replay.show.page import page
+from insdvl_replay.show.render import render
 from insdvl_replay.show.text import as_markdown, for_terminal
 
 
@@ -130,22 +130,20 @@ def test_digits_that_differ_between_processors_are_no_change(
 ) -> None:
     comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=tolerance_pct)
     assert words(comparison) == {}
-    for limit in ("worse", "worse:0%", "changed"):
-        assert find_violation(comparison, parse_limit(limit)) == ""
+    assert find_violation(comparison, 0.0) == ""
 
 
 @pytest.mark.parametrize("share", [1e-8, -1e-8])
 def test_eight_digits_are_a_change_where_no_tolerance_covers_them(share: float, tmp_path: Path) -> None:
     comparison = compared(tmp_path, content(), nudged(content(), share), tolerance_pct=0.0)
     assert {"better", "worse", "changed"} <= set(words(comparison).values())
-    for limit in ("worse", "changed"):
-        assert find_violation(comparison, parse_limit(limit))
+    assert find_violation(comparison, 0.0)
 
 
 def test_a_limit_may_be_reached_but_for_digits_that_differ_between_processors(tmp_path: Path) -> None:
     comparison = compared(tmp_path, content(), content(ba_x_sd=1.05 * (1.0 + 1e-10)), columns=("sd",))
-    assert find_violation(comparison, parse_limit("worse:5%")) == ""
-    assert find_violation(comparison, parse_limit("worse:4.99999%"))
+    assert find_violation(comparison, 5.0) == ""
+    assert find_violation(comparison, 4.99999)
 
 
 def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:
@@ -180,13 +178,13 @@ def test_tables_and_columns_that_only_a_newer_version_has_are_new_and_counted(tm
     assert words(comparison, table="reference_error") == {("reference_error", "roll", "final"): "new"}
     assert set(words(comparison, table="consistency").values()) == {"new"}
     assert [(note.code, note.count) for note in comparison.notes] == [("table_on_one_side", 1), ("table_unknown", 1)]
-    assert find_violation(comparison, parse_limit("worse")) == ""
+    assert find_violation(comparison, 0.0) == ""
 
 
 def test_a_table_that_is_lost_counts_as_worse(tmp_path: Path) -> None:
     new = content()
     new["tables"]["reference_error"] = []
-    found = find_violation(compared(tmp_path, content(), new), parse_limit("worse:50%"))
+    found = find_violation(compared(tmp_path, content(), new), 50.0)
     assert re.search(r"reference_error: aided roll rmse .*gone", found)
 
 
@@ -358,24 +356,22 @@ def place(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     ("arguments", "code", "values"),
     [
-        (["old", "old", "--fail-on", "changed"], 0, ""),
+        (["old", "old", "--fail-on", "0%"], 0, ""),
         (["old", "worse"], 0, ""),
-        (["old", "worse", "--fail-on", "worse"], 1, "1 .*dive, reference_error: aided roll rmse "),
-        (["old", "worse", "--fail-on", "worse:5%"], 1, r"0\.4000 .*0\.4400 deg \(\+10\.0 %\)"),
-        (["old", "worse", "--fail-on", "worse:10%"], 0, ""),
-        (["old", "worse", "--fail-on", "worse", "--tolerance", "10%"], 0, ""),
-        (["old", "worse", "--fail-on", "worse", "--table", "improvement"], 0, ""),
-        (["old", "worse", "--fail-on", "worse", "--column", "sd"], 0, ""),
-        (["old", "worse", "--fail-on", "worse", "--only-changed"], 1, "1 .*worse"),
-        (["old", "better", "--fail-on", "worse"], 0, ""),
-        (["old", "better", "--fail-on", "changed"], 1, "1 .*changed.*: dive"),
-        (["old", "lost", "--fail-on", "worse:1000%"], 1, r"0\.4000 .*- deg \(worse\)"),
-        (["old", "overconfident", "--fail-on", "worse:50%"], 1, r"consistent .*overconfident \(worse\)"),
-        (["more", "old", "--fail-on", "worse"], 1, "1 dive .*: second"),
-        (["old", "more", "--fail-on", "worse"], 0, ""),
-        (["old", "more", "--fail-on", "changed"], 1, "1 dive .*: second"),
+        (["old", "worse", "--fail-on", "0%"], 1, "1 .*dive, reference_error: aided roll rmse "),
+        (["old", "worse", "--fail-on", "5%"], 1, r"0\.4000 .*0\.4400 deg \(\+10\.0 %\)"),
+        (["old", "worse", "--fail-on", "10%"], 0, ""),
+        (["old", "worse", "--fail-on", "0%", "--tolerance", "10%"], 0, ""),
+        (["old", "worse", "--fail-on", "0%", "--table", "improvement"], 0, ""),
+        (["old", "worse", "--fail-on", "0%", "--column", "sd"], 0, ""),
+        (["old", "worse", "--fail-on", "0%", "--only-changed"], 1, "1 .*worse"),
+        (["old", "better", "--fail-on", "0%"], 0, ""),
+        (["old", "lost", "--fail-on", "1000%"], 1, r"0\.4000 .*- deg \(worse\)"),
+        (["old", "overconfident", "--fail-on", "50%"], 1, r"consistent .*overconfident \(worse\)"),
+        (["more", "old", "--fail-on", "0%"], 1, "1 dive .*: second"),
+        (["old", "more", "--fail-on", "0%"], 0, ""),
         (["old", "worse", "--fail-on", "better"], 2, "--fail-on better: "),
-        (["old", "worse", "--fail-on", "worse:5"], 2, "--fail-on worse:5: "),
+        (["old", "worse", "--fail-on", "5"], 2, "--fail-on 5: "),
         (["old", "worse", "--tolerance", "1e-3"], 2, "--tolerance 1e-3: "),
         (["old", "worse", "--table", "improvment"], 2, "'improvment' .*hint: .*improvement"),
         (["old", "worse", "--column", "rms"], 2, "'rms' .*hint: .*rmse"),
@@ -415,8 +411,8 @@ def test_exit_codes_and_reasons(
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
-        (["old", "worse", "--fail-on", "worse:50%"], 0),
-        (["old", "worse", "--fail-on", "worse:5%"], 1),
+        (["old", "worse", "--fail-on", "50%"], 0),
+        (["old", "worse", "--fail-on", "5%"], 1),
         (["old", "empty"], 2),
         (["old", "broken"], 3),
     ],
@@ -453,7 +449,7 @@ def test_csv_has_four_parts_and_numbers_in_full(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     comparison = compare_results(old, new)
     parts = {}
-    for block in comparison_csv(comparison).split("\n\n"):
+    for block in render(comparison_result(comparison, []), "csv").split("\n\n"):
         rows = list(csv.DictReader(io.StringIO(block)))
         parts[rows[0]["part"]] = rows
     assert list(parts) == ["difference", "dive", "aggregate", "change"]
@@ -500,9 +496,9 @@ def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture
         assert run_command_line(["run", str(log), "-o", str(tmp_path / folder), *settings]) == 0
     capsys.readouterr()
     old, again, new = (str(tmp_path / folder) for folder in ("old", "again", "new"))
-    assert run_command_line(["compare", old, again, "--fail-on", "changed"]) == 0
+    assert run_command_line(["compare", old, again, "--fail-on", "0%"]) == 0
     assert "config " not in capsys.readouterr().out
-    assert run_command_line(["compare", old, new, "--fail-on", "changed"]) == 1
+    assert run_command_line(["compare", old, new, "--fail-on", "0%"]) == 1
     assert re.search(r"config filters\.aided\.acceleration\.window: 3\b.* 5\b", capsys.readouterr().out)
 
 

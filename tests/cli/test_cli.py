@@ -23,7 +23,7 @@ DOCUMENTED = {
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
-        "--only-changed", "--all", "--fail-on LIMIT",
+        "--only-changed", "--all", "--fail-on P%",
         "--format <table|json|csv|md|latex|html>", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>",
         "-h, --help",
     ],

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.result import Tool, decode_report
+from insdvl_replay.core.result import Block, Tool, decode_report
 from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.tables import (
     ConvergenceRow,
@@ -27,17 +27,18 @@ from insdvl_replay.results.result_files import run_log
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
     closing_lines,
-    csv_of,
     dive_document,
     glance_table,
     heading,
     headline_table,
+    replay_result,
     track_fit_line,
     word_in_table,
 )
 from insdvl_replay.show.dives import Failure, summary_csv
-from insdvl_replay.show.document import number, percent, structs_csv, table_csv
+from insdvl_replay.show.document import number, percent, table_csv
 from insdvl_replay.show.page import page
+from insdvl_replay.show.render import render
 from insdvl_replay.show.text import as_latex, as_markdown, for_terminal
 
 HEADERS = {
@@ -67,7 +68,7 @@ SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
 
 def test_csv_numbers_are_read_back_exactly_and_missing_ones_are_empty() -> None:
     table = tables().convergence
-    data = structs_csv(ConvergenceRow, table).encode()
+    data = table_csv(Block.of(ConvergenceRow, table))
     rows = list(csv.DictReader(io.StringIO(data.decode(), newline="")))
     assert b"\r" not in data
     assert [float(row["target_sd"]) for row in rows] == [row.target_sd for row in table]
@@ -266,7 +267,7 @@ def test_latex_escapes_what_latex_would_read() -> None:
 
 
 def test_csv_of_a_report_is_cut_apart_by_its_first_column() -> None:
-    text = csv_of([report()])
+    text = render(replay_result(report(), []), "csv")
     for name, table in frames(tables()).items():
         block = next(block for block in text.split("\n\n") if f"\n{name}," in block)
         assert block.split("\n")[0] == ",".join(["table", *table.columns])

@@ -20,17 +20,15 @@ from insdvl_replay.show.dive import dive_document, dive_screen, track_fit_line
 from insdvl_replay.show.text import as_markdown
 
 COMPARED = (
-    ["old", "worse", "--fail-on", "worse"],
-    ["old", "better", "--fail-on", "changed"],
-    ["old", "lost", "--fail-on", "worse:1000%"],
-    ["old", "overconfident", "--fail-on", "worse:50%"],
+    ["old", "worse", "--fail-on", "0%"],
+    ["old", "lost", "--fail-on", "1000%"],
+    ["old", "overconfident", "--fail-on", "50%"],
     ["old", "worse", "--fail-on", "better"],
-    ["old", "worse", "--fail-on", "worse:5"],
     ["old", "worse", "--tolerance", "1e-3"],
     ["old", "worse", "--table", "improvment"],
     ["old", "worse", "--column", "rms"],
     ["old", "worse", "--dive", "dibe"],
-    ["old", "more", "--fail-on", "changed"],
+    ["more", "old", "--fail-on", "0%"],
     ["old", "stranger"],
     ["old", "stranger", "--pair", "aided"],
     ["old", "stranger", "--pair", "aded=tuned"],

@@ -1,4 +1,4 @@
-"""``insdvl-replay check``. What is heavy to import waits until there is work to do."""
+"""``insdvl-replay compare`` and ``check``: what moved between results. What is heavy to import waits."""
 
 from contextlib import closing
 from pathlib import Path
@@ -7,9 +7,77 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli import options as opt
+from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, error_context, looked_for
 
 GATE_FAILED = 1
+
+
+def compare(
+    old: Annotated[Path, typer.Argument(metavar="OLD", help="Result folder, report.json, or folder of results.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="The same after the change.")],
+    dives: Annotated[
+        list[str], typer.Option("--dive", metavar="NAME", help="Compare this dive alone. May be repeated.")
+    ] = [],  # noqa: B006
+    tables: Annotated[
+        list[str], typer.Option("--table", metavar="NAME", help="Compare this table alone. May be repeated.")
+    ] = [],  # noqa: B006
+    columns: Annotated[
+        list[str], typer.Option("--column", metavar="NAME", help="Compare this column alone. May be repeated.")
+    ] = [],  # noqa: B006
+    pairs: Annotated[
+        list[str],
+        typer.Option("--pair", metavar="OLD=NEW", help="Compare filters of different names. May be repeated."),
+    ] = [],  # noqa: B006
+    tolerance: Annotated[
+        str | None,
+        typer.Option(metavar="P%", help="Up to here a change is none. Left out: up to the last printed digit."),
+    ] = None,
+    only_changed: Annotated[
+        bool, typer.Option("--only-changed", help="Show all values that moved, and not the evidence alone.")
+    ] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Show all values, also those that are the same.")] = False,
+    fail_on: Annotated[
+        str | None,
+        typer.Option(metavar="P%", help="Exit with 1 if a value is worse by more than this; 0% for by anything."),
+    ] = None,
+    format_: Annotated[opt.PageFormat, typer.Option("--format", help="How it is printed.")] = "table",
+    verbose: opt.Verbose = 0,
+    quiet: opt.Quiet = False,
+    color: opt.Colored = "auto",
+) -> None:
+    """Compare stored results: what moved, by how much, and whether that is better.
+
+    Verdicts that changed come first, then what differs in settings, tool and log, and the evidence that moved. Dives
+    are matched by the hash of their log, then by name. Rows that are gone and numbers that were lost count as worse.
+
+    \b
+    Example:
+      insdvl-replay compare before/dive after/dive --only-changed
+      insdvl-replay compare before after --format html > comparison.html
+      insdvl-replay compare before after --table reference_error --column rmse --fail-on 5%
+    """
+    from insdvl_replay.changes import comparison as changes
+    from insdvl_replay.cli.screen import written
+    from insdvl_replay.core.errors import LimitError, visible
+
+    limit_pct = changes.parse_percentage(fail_on, "--fail-on") if fail_on else None
+    tolerance_pct = changes.parse_percentage(tolerance, "--tolerance") if tolerance else None
+    selection = changes.Selection(
+        tuple(tables), tuple(columns), tuple(dives), changes.parse_pairs(pairs), tolerance_pct
+    )
+    found = changes.compare_results(old, new, selection)
+    moved = changes.only_changed(found)
+    chosen = everything or only_changed or tables or columns or dives or format_ == "latex"
+    lay_out = changes.comparison_document if chosen else changes.brief_document
+    if quiet and format_ == "table":
+        write_stdout(f"{visible(changes.opening_lines(found)[0])}\n")
+    else:
+        document = lay_out(found if everything else moved)
+        write_stdout(written(changes.comparison_result(moved if only_changed else found, document), format_))
+    log_notes(found.notes, verbose=verbose > 0)
+    if limit_pct is not None and (worse := changes.find_violation(found, limit_pct)):
+        raise LimitError(worse)
 
 
 def check(
@@ -34,7 +102,7 @@ def check(
     settings: opt.Settings = [],  # noqa: B006
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
-    format_: Annotated[opt.CheckFormat, typer.Option("--format", help="How it is told.")] = opt.CheckFormat.TEXT,
+    format_: Annotated[opt.CheckFormat, typer.Option("--format", help="How it is told.")] = "text",
     output: Annotated[
         Path | None, typer.Option("--output", metavar="FILE", help="Write it here, and text to stdout.")
     ] = None,
@@ -74,19 +142,8 @@ def check(
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
-    from insdvl_replay.changes import formats as written
-    from insdvl_replay.changes.gates import (
-        Checked,
-        checked_replay,
-        checked_results,
-        chosen_gates,
-        compare_with_baselines,
-        evaluate_gates,
-        load_gates,
-        require_known_names,
-        write_baselines,
-    )
-    from insdvl_replay.cli.messages import log_failure, log_to_stderr, write_stdout
+    from insdvl_replay.changes import formats
+    from insdvl_replay.changes import gates as gating
     from insdvl_replay.cli.run import outcomes
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
@@ -96,7 +153,7 @@ def check(
     part, slash, parts = shard.partition("/")
     if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
         raise ConfigError(f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on")
-    chosen = chosen_gates(load_gates(gates), only, skip)
+    chosen = gating.chosen_gates(gating.load_gates(gates), only, skip)
     content = chosen.content
     if not (dives or content.dives):
         raise ConfigError(f"{gates}: names no dives", f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]')
@@ -112,8 +169,8 @@ def check(
         named = gates.parent / content.config
         with looked_for(named):
             if not named.is_file():
-                found = f"{gates}: config names {named}, which is no file"
-                raise ConfigError(found, "paths are seen from the gate file")
+                text = f"{gates}: config names {named}, which is no file"
+                raise ConfigError(text, "paths are seen from the gate file")
         config = [named]
     options = ReplayOptions(
         load_config(preset or content.preset, config, settings, allow_code=allow_code),
@@ -121,51 +178,44 @@ def check(
         histories=histories,
     )
     logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
-    require_known_names(chosen, list(options.config.filters) if len(logs) == len(paths) else None)
+    gating.require_known_names(chosen, list(options.config.filters) if len(logs) == len(paths) else None)
 
     # Replays, stored results, and what the gates say of them
-    checked: list[Checked] = []
+    checked: list[gating.Checked] = []
     with closing(outcomes(plan_jobs(logs, results, options), jobs, scheduler, force=True, rerun=rerun)) as replays:
         for path in paths:
             if path in logs:
                 outcome = next(replays)
-                checked.append(checked_replay(outcome.job.target, outcome.result))
+                checked.append(gating.checked_replay(outcome.job.target, outcome.result))
             else:
-                checked += checked_results(path)
+                checked += gating.checked_results(path)
     codes = [log_failure(result, verbose) for _, result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.baseline is None for gate in content.gate):
             raise ConfigError(f"{gates}: no gate has a baseline", 'baseline = "baselines/{log}.json"')
-        write_stdout(written.baseline_text(compare_with_baselines(chosen, checked)))
-        for baseline in write_baselines(chosen, checked):
+        write_stdout(formats.baseline_text(gating.compare_with_baselines(chosen, checked)))
+        for baseline in gating.write_baselines(chosen, checked):
             log_to_stderr(f"wrote {baseline}")
-    result = evaluate_gates(chosen, checked)
+    found = gating.evaluate_gates(chosen, checked)
 
     # Output
-    formats = {
-        opt.CheckFormat.TEXT: written.check_text,
-        opt.CheckFormat.MARKDOWN: written.check_markdown,
-        opt.CheckFormat.JSON: written.check_json,
-        opt.CheckFormat.JUNIT: written.junit_xml,
-        opt.CheckFormat.GITHUB: written.github_annotations,
-    }
-    sentence = written.check_sentence(result)
-    text = f"{sentence}\n" if quiet and format_ is opt.CheckFormat.TEXT else formats[format_](result)
+    sentence = formats.check_sentence(found)
+    text = f"{sentence}\n" if quiet and format_ == "text" else formats.in_format(found, format_)
     if output is None:
-        write_stdout(text, commands=format_ is opt.CheckFormat.GITHUB)
+        write_stdout(text, commands=format_ == "github")
     else:
         with result_file(output, force=True) as file:
             file.write_text(text, "utf-8")
-        write_stdout(written.check_text(result))
+        write_stdout(formats.check_text(found))
     if summary is not None:
         try:
             with summary.open("a", encoding="utf-8") as stream:  # other steps of a job write to it, too
-                stream.write(written.check_markdown(result))
+                stream.write(formats.in_format(found, "md"))
         except OSError as error:
             hint = "check the path of --summary-file"
             raise ConfigError(f"{summary}: cannot be written: {error.strerror}", hint) from error
-    codes += [GATE_FAILED] * result.count(GateStatus.FAILED)
+    codes += [GATE_FAILED] * found.count(GateStatus.FAILED)
     if codes:
-        first = result.judgements[0]
+        first = found.judgements[0]
         log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}")
     return max(codes, default=0)
