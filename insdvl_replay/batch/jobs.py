@@ -24,7 +24,7 @@ from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
 from insdvl_replay.core.result import Report, decode_report, package_versions
 from insdvl_replay.core.result import as_json as encode_report
-from insdvl_replay.core.runtime import parallel_map, sources_digest
+from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progress
 from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import (
     COMPLETE,
@@ -156,18 +156,18 @@ def replay_jobs(
     jobs: Sequence[ReplayJob],
     known: dict[Path, Report],
     pool: Pool | None,
-    after_dive: Callable[[Outcome], object] = lambda _: None,
     *,
     elsewhere: bool = False,
 ) -> Generator[Outcome, None, None]:
     """Replay dives, each into its folder. One that fails does not stop the others.
 
-    Those that `known_reports` has found need no replay; they are taken out on the way. ``after_dive`` is called as soon
-    as a dive is done; outcomes come in the order of the jobs. Workers elsewhere may be in other folders, on other
-    machines.
+    Those that `known_reports` has found need no replay; they are taken out on the way. Outcomes are in the order of
+    the jobs. Workers elsewhere may be in other folders, on other machines.
     """
     todo = [job for job in jobs if job.target not in known]
     done: dict[Path, Outcome] = {}
+    steps = track_progress("dive", todo)
+    next(steps, None)
     sent = list(parallel_map(_for_elsewhere, todo)) if elsewhere else todo
     with closing(do_each(replay_into, sent, pool)) as replays:
         for job in jobs:
@@ -179,9 +179,9 @@ def replay_jobs(
                 finished = todo[place]
                 if isinstance(result, WorkerLostError):  # workers do not know of logs
                     result = LogError(f"{finished.name}: {result.message}", result.hint)
-                outcome = Outcome(finished, decode_report(result) if isinstance(result, bytes) else result)
-                after_dive(outcome)
-                done[finished.target] = outcome
+                found = decode_report(result) if isinstance(result, bytes) else result
+                done[finished.target] = Outcome(finished, found)
+                next(steps, None)
             yield done.pop(job.target)
         for _ in replays:  # nothing more comes, and workers end by themselves
             pass

@@ -6,12 +6,10 @@ import typer
 
 from insdvl_replay import __version__
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.calibrate import calibrate
+from insdvl_replay.cli.analyses import calibrate, inspect, study
 from insdvl_replay.cli.changes import check, compare
-from insdvl_replay.cli.inspection import inspect
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
-from insdvl_replay.cli.study import study
 from insdvl_replay.cli.utilities import compile_, config, figure, schema, simulate
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.

@@ -1,7 +1,8 @@
 """Options that several commands share, and the words that options choose from."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,43 +20,30 @@ class PlainCommand(TyperCommand):
         return re.sub(r" <list\[\w+\]>", lambda kind: " " * len(kind[0]), super().get_help(ctx))
 
 
-def preset_names(incomplete: str) -> list[str]:
-    """Return the presets that begin with what is typed."""
-    from insdvl_replay.core.config_file import PRESETS
+def _names(module: str, names: str) -> Callable[[str], list[str]]:
+    """Return what completes a word by the names that a module has; it is imported when somebody types."""
 
-    return _beginning(incomplete, PRESETS)
+    def beginning(incomplete: str) -> list[str]:
+        known = getattr(import_module(f"insdvl_replay.{module}"), names)
+        return [name for name in known if name.startswith(incomplete)]
 
-
-def scenario_names(incomplete: str) -> list[str]:
-    """Return the scenarios that begin with what is typed."""
-    from insdvl_replay.sim.trajectories import SCENARIOS
-
-    return _beginning(incomplete, SCENARIOS)
+    return beginning
 
 
-def grade_names(incomplete: str) -> list[str]:
-    """Return the grades of IMUs that begin with what is typed."""
-    from insdvl_replay.sim.sensor_errors import GRADES
-
-    return _beginning(incomplete, GRADES)
-
-
-def _beginning(incomplete: str, names: Iterable[str]) -> list[str]:
-    return [name for name in names if name.startswith(incomplete)]
-
-
+grade_names = _names("sim.sensor_errors", "GRADES")
 Format = Literal["table", "json", "csv", "md", "latex"]
 PageFormat = Literal["table", "json", "csv", "md", "latex", "html"]
 CheckFormat = Literal["text", "md", "json", "junit", "github"]
 Color = Literal["auto", "always", "never"]
 
+PrintedAs = Annotated[Format, typer.Option("--format", help="How the tables are printed.")]
 Preset = Annotated[
     str | None,
     typer.Option(
         "--preset",
         metavar="NAME",
         help="Settings to start from: levy-klein (the default), fog, tactical or mems.",
-        autocompletion=preset_names,
+        autocompletion=_names("core.config_file", "PRESETS"),
     ),
 ]
 Logs = Annotated[
@@ -80,7 +68,7 @@ Scenario = Annotated[
     typer.Argument(
         metavar="SCENARIO",
         help="straight, figure-eight, lawnmower, static or calibration.",
-        autocompletion=scenario_names,
+        autocompletion=_names("sim.trajectories", "SCENARIOS"),
     ),
 ]
 Settings = Annotated[
@@ -150,12 +138,11 @@ def span_settings(start: float | None, end: float | None) -> list[str]:
 
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:
     """Read what ``--outage`` was given."""
-    return [_outage_span(text) for text in texts]
-
-
-def _outage_span(text: str) -> tuple[float, float]:
-    try:
-        start_s, end_s = (float(part) for part in text.split(":"))
-    except ValueError as error:
-        raise ConfigError(f"--outage {text}: is not of the form START:END", "for example --outage 60:90") from error
-    return start_s, end_s
+    spans = []
+    for text in texts:
+        try:
+            start_s, end_s = (float(part) for part in text.split(":"))
+        except ValueError as error:
+            raise ConfigError(f"--outage {text}: is not of the form START:END", "for example --outage 60:90") from error
+        spans.append((start_s, end_s))
+    return spans

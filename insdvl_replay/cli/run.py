@@ -204,7 +204,7 @@ def outcomes(
     from insdvl_replay.batch.jobs import known_reports, replay_jobs
     from insdvl_replay.batch.workers import cluster_pool, local_pool
     from insdvl_replay.cli.messages import log_notes
-    from insdvl_replay.cli.screen import DivesBar, compiling, spinner
+    from insdvl_replay.cli.screen import compiling, progress
 
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
@@ -213,22 +213,13 @@ def outcomes(
         pool = local_pool(max(1, min(jobs, len(changed))), runs_code=runs_code)
     else:
         pool = cluster_pool(scheduler)
-    waits_for = compiling() if changed else ""
-    elsewhere = scheduler is not None
+    replays = replay_jobs(dives, known, pool, elsewhere=scheduler is not None)
     if not changed:
-        yield from replay_jobs(dives, known, pool, elsewhere=elsewhere)
+        yield from replays
         return
-    if len(changed) == 1:
-        with spinner(f"replaying {changed[0].name.name}{waits_for}"):
-            finished = list(replay_jobs(dives, known, pool, elsewhere=elsewhere))
-        yield from finished
-        return
-    with DivesBar(len(changed)) as bar:
-
-        def count(outcome: "Outcome") -> None:
-            bar.advance(failed=isinstance(outcome.result, Exception))
-
-        with closing(replay_jobs(dives, known, pool, count, elsewhere=elsewhere)) as replays:
-            for outcome in replays:
-                with bar.paused():
-                    yield outcome
+    names = changed[0].name.name if len(changed) == 1 else f"{len(changed)} dives"
+    with progress(f"replaying {names}{compiling()}") as bar, closing(replays):
+        for outcome in replays:
+            bar.stop()  # room for what is said or printed of it
+            yield outcome
+            bar.start()

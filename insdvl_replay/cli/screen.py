@@ -1,19 +1,23 @@
-"""The terminal's width, colour and spinner, as rich sees them."""
+"""The terminal's width and colours, and how far long work is, as rich sees them."""
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from rich.console import Console, RenderableType
 
 from insdvl_replay.cli.messages import log_to_stderr
+from insdvl_replay.core.errors import visible
 from insdvl_replay.core.result import Result
 from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
 from insdvl_replay.show.render import document as parts_of
 from insdvl_replay.show.render import render
-from insdvl_replay.show.text import for_terminal, spoken
+from insdvl_replay.show.text import for_terminal
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
 
 PIPED_COLUMNS = 10_000
 """Wide enough that nothing is ever folded where no terminal limits the width."""
@@ -52,38 +56,23 @@ def printed(content: RenderableType) -> str:
 
 
 @contextmanager
-def spinner(text: str) -> Iterator[None]:
-    """Report what is waited for, and how far the work is, on a terminal only."""
-    console = Console(file=sys.stderr, highlight=False)
-    if not console.is_terminal:
-        yield
-        return
-    with (
-        console.status(spoken(text)) as status,
-        progress_listener(lambda stage, *_: status.update(spoken(f"{text}: {stage}"))),
-    ):
-        yield
-
-
-@contextmanager
-def steps_bar(text: str) -> Iterator[None]:
-    """Show how far each stage of the work is, on a terminal only."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+def progress(text: str) -> Iterator["Progress"]:
+    """Show what is waited for, the stage of the work, and how far it is, on a terminal only."""
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(file=sys.stderr, highlight=False)
-    if not console.is_terminal:
-        yield
-        return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(text, total=None)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(visible(text), total=None)
 
         def show(stage: str, done: int, total: int) -> None:
+            counts = f" {done} of {total}" if total else ""
+            bar.update(task, description=visible(f"{text}: {stage}{counts}"), refresh=True)
             if total:
-                bar.update(task, description=f"{text}: {stage}", completed=done, total=total)
+                bar.update(task, completed=done, total=total)
 
         with progress_listener(show):
-            yield
+            yield bar
 
 
 def compiling() -> str:
@@ -95,56 +84,3 @@ def compiling() -> str:
         text = f"warning: compiled code cannot be kept: {reason}. Each run compiles the filter, for some 20 s"
         log_to_stderr(f"{text}; hint: INSDVL_REPLAY_CACHE=/a/folder/of/yours")
     return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
-
-
-class DivesBar:
-    """How far many dives are, on a terminal only."""
-
-    def __init__(self, total: int) -> None:
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        console = Console(file=sys.stderr, highlight=False)
-        columns = (
-            TextColumn("replaying"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("dives, {task.fields[failed]} failed, time left"),
-            TimeRemainingColumn(),
-        )
-        self._bar = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-        self._task = self._bar.add_task("", total=total, failed=0)
-        self._failed = 0
-
-    def __enter__(self) -> "DivesBar":
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def advance(self, *, failed: bool) -> None:
-        """Count one dive more."""
-        self._failed += failed
-        self._bar.update(self._task, advance=1, failed=self._failed)
-
-    @contextmanager
-    def paused(self) -> Iterator[None]:
-        """Make room for something that is said or printed."""
-        self._bar.stop()
-        try:
-            yield
-        finally:
-            self._bar.start()
-
-
-@contextmanager
-def progress(text: str, total: int, note: str = "") -> Iterator[Callable[[], None]]:
-    """Show how much of the work is done, on a terminal only."""
-    from rich.progress import Progress
-
-    console = Console(file=sys.stderr, highlight=False)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        if note and console.is_terminal:
-            console.print(note)
-        task = bar.add_task(text, total=total)
-        yield lambda: bar.advance(task)

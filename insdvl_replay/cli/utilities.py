@@ -6,8 +6,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
+import msgspec
 import typer
 
 from insdvl_replay.cli import options as opt
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
 NARROWEST_MM, WIDEST_MM = 20.0, 1000.0
+SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check")
+"""What has a JSON schema: what `config` reads from TOML, `report.json` of a replay and of a study, and what `--format
+json` prints of the other commands."""
 
 
 def simulate(
@@ -75,7 +79,7 @@ def simulate(
       insdvl-replay simulate lawnmower -o dive.mcap --imu mems --sensor depth=0.05@4
       insdvl-replay simulate calibration -o dive.mcap --lever-arm 0.3,-0.1,0.2 --mounting 0,0,1.5 --dvl-delay 0.12
     """
-    from insdvl_replay.cli.screen import spinner
+    from insdvl_replay.cli.screen import progress
     from insdvl_replay.logs.write import write_dive
     from insdvl_replay.results.folder import result_file
     from insdvl_replay.sim.dive import simulate_dive
@@ -85,7 +89,7 @@ def simulate(
         beam, start_s, end_s = text.split(":")
         return LostBeam(int(beam), float(start_s), float(end_s))
 
-    with result_file(output, force=force) as path, spinner(f"simulating {scenario}"):
+    with result_file(output, force=force) as path, progress(f"simulating {scenario}"):
         dive = simulate_dive(
             scenario,
             seed=seed,
@@ -188,7 +192,6 @@ def schema(
       insdvl-replay schema report
       insdvl-replay schema insdvl_msgs/msg/NavSolution
     """
-    from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
     from insdvl_replay.core.errors import LogError
 
     if name is None:
@@ -203,6 +206,52 @@ def schema(
             write_stdout(definition_text(name))
         except LogError as error:
             raise ConfigError(f"schema '{name}' is not known", hint_for(name, known, most=len(known))) from error
+
+
+def json_schema(name: str) -> bytes:
+    """Describe one of them as JSON schema (draft 2020-12)."""
+    from insdvl_replay.calibration.rows import TABLES as CALIBRATION
+    from insdvl_replay.changes.comparison import Comparison
+    from insdvl_replay.changes.formats import CheckReport
+    from insdvl_replay.core.config import Config
+    from insdvl_replay.core.result import Report, ResultJson, as_json
+    from insdvl_replay.inspection.inventory import Inventory
+    from insdvl_replay.show.render import result_schema
+
+    kinds: dict[str, type] = {
+        "config": Config,
+        "report": Report,
+        "inspection": Inventory,
+        "study": ResultJson,
+        "comparison": Comparison,
+        "check": CheckReport,
+    }
+    schema = msgspec.json.schema(kinds[name]) if name in kinds else result_schema(CALIBRATION)
+    described: dict[str, Any] = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"insdvl-replay {'configuration' if name == 'config' else name}",
+        **_with_words(schema),
+    }
+    return as_json(described)
+
+
+def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
+    """List the words that a value may be where it is described, not as definitions of their own."""
+    definitions = schema["$defs"]
+    words = {f"#/$defs/{name}": found["enum"] for name, found in definitions.items() if "enum" in found}
+
+    def listed(part: Any) -> Any:
+        if isinstance(part, list):
+            return [listed(inner) for inner in part]
+        if not isinstance(part, dict):
+            return part
+        if part.get("$ref") in words:
+            part = {"enum": words[part["$ref"]], **part}
+            del part["$ref"]
+        return {key: listed(inner) for key, inner in part.items()}
+
+    others = {name: found for name, found in definitions.items() if "enum" not in found}
+    return {**schema, "$defs": listed(others)}
 
 
 def compile_(verbose: opt.Verbose = 0) -> None:

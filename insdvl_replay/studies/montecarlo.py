@@ -1,6 +1,6 @@
 """The Monte Carlo study: many simulated dives, and whether the filters' uncertainty is as large as their errors."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -12,7 +12,7 @@ import pandas as pd
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.result import LIMIT, REFERENCE, Curve, DisplayTable, Figure, Panel, Result, filter_style
-from insdvl_replay.core.runtime import parallel_map
+from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.core.states import BA, BG, DV, NINE, PHI, STATES, State
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.evaluation.ensemble import (
@@ -146,7 +146,6 @@ def study_montecarlo(
     imu: str = MATCHED,
     outages: Outages = (),
     jobs: int | None = None,
-    after_run: Callable[[], object] = lambda: None,
 ) -> tuple[Result, tuple[Ensemble, ...]]:
     """Simulate a dive many times and compare the filters' uncertainty with their true errors.
 
@@ -156,10 +155,10 @@ def study_montecarlo(
     setup = make_setup(scenario, config, imu, duration_s, outages)
     seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
     tallies: dict[str, Tally] = {}
-    for errors in parallel_map(partial(simulated_run, setup), seeds, jobs):
+    simulated = parallel_map(partial(simulated_run, setup), seeds, jobs)
+    for _, errors in zip(track_progress("run", seeds), simulated, strict=True):
         for run in errors:
             tallies.setdefault(run.filter, Tally(run)).add(run)
-        after_run()
     ensembles = tuple(tally.ensemble() for tally in tallies.values())
     tables = {"montecarlo": montecarlo_table(ensembles), "verdicts": verdict_table(ensembles)}
     if outages:

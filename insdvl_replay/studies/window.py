@@ -130,48 +130,6 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     return pd.DataFrame(rows, columns=WINDOW_COLUMNS), differentiated_over_s(reference), dive.notes + start.notes
 
 
-def _studied(
-    paths: Sequence[Path], config: Config, longest: int, jobs: int
-) -> tuple[list[tuple[pd.DataFrame, float, tuple[Note, ...]]], list[Note]]:
-    """Study each log, and go on where one cannot be used."""
-
-    def study(path: Path) -> tuple[pd.DataFrame, float, tuple[Note, ...]] | LogError:
-        try:
-            return dive_windows(read_checked_dive(path, config.without_solutions()), config, longest)
-        except LogError as error:
-            return error
-
-    found = list(parallel_map(study, paths, jobs))
-    studied = [one for one in found if not isinstance(one, LogError)]
-    refused = [one for one in found if isinstance(one, LogError)]
-    if not studied:
-        raise refused[0]
-    return studied, [Note(LEFT_OUT, f"{error.message}; left out", 1, Severity.WARNING, error.hint) for error in refused]
-
-
-def _check_names(paths: Sequence[Path]) -> None:
-    seen: dict[str, Path] = {}
-    for path in paths:
-        name = dive_name(path)
-        if name in seen:
-            raise ConfigError(f"{seen[name]} and {path} have the same name", "rename one of them")
-        seen[name] = path
-
-
-def _reference(dive: Dive, config: Config) -> ReferenceColumns:
-    if dive.reference is None or not (dive.reference.has_velocity and dive.reference.has_attitude):
-        raise LogError(
-            f"{dive.name}: there is no reference with velocity and attitude to hold accelerations against",
-            "name its topic, such as --set reference.topic=/ins/odometry",
-        )
-    return reference_as_configured(dive.reference, dive.imu, config)
-
-
-def _max_gap_s(config: Config) -> float:
-    configured = (filter_.acceleration for filter_ in config.filters.values() if filter_.acceleration is not None)
-    return next(configured, Acceleration()).max_window_gap_s
-
-
 def _expected(
     windows: dict[int, SlopeWindows], velocities: DvlVelocities, reference: ReferenceColumns, max_gap_s: float
 ) -> dict[tuple[str, int], Floats]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_into
-from insdvl_replay.cli.screen import spinner
+from insdvl_replay.cli.screen import progress
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.runtime import progress_listener, report_stage
 from insdvl_replay.logs import write_dive
@@ -40,7 +40,7 @@ def test_a_terminal_shows_the_stage_and_a_pipe_nothing(
     for terminal, expected in ((True, "dive.mcap: writing"), (False, "")):
         monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
         monkeypatch.setenv("TERM", "xterm")
-        with spinner("dive.mcap"):
+        with progress("dive.mcap"):
             report_stage("writing")
         shown = capsys.readouterr().err
         assert (expected in shown) if terminal else shown == ""

@@ -15,7 +15,7 @@ from made_reports import report, tables, unreferenced
 from msgspec.structs import replace
 from rich.console import Console
 
-from insdvl_replay.cli.json_schemas import SCHEMAS, json_schema
+from insdvl_replay.cli.utilities import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import Block, Tool, decode_report
 from insdvl_replay.core.result import as_json as encode_report

@@ -1,0 +1,464 @@
+"""``insdvl-replay inspect``, ``calibrate`` and ``study``. What is heavy to import waits until there is work to do."""
+
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from insdvl_replay.cli import options as opt
+from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
+from insdvl_replay.core.errors import ConfigError, LogError, require_known
+
+if TYPE_CHECKING:
+    from insdvl_replay.calibration.innovations import ReadDive
+    from insdvl_replay.core.config import Config
+    from insdvl_replay.core.result import Result
+    from insdvl_replay.inspection.inventory import Inventory
+
+
+# --- inspect
+
+
+def inspect(
+    logs: opt.Logs,
+    deep: Annotated[
+        bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
+    ] = False,
+    propose: Annotated[
+        Path | None,
+        typer.Option("--propose", metavar="FILE", help="Write settings with which to run these dives; looks deep."),
+    ] = None,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: opt.PrintedAs = "table",
+    allow_damaged: Annotated[
+        bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
+    ] = False,
+    one_dive: opt.OneDive = False,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = "auto",
+) -> int:
+    """Say what is in a log, which topics a replay would use and why, and what would stop it.
+
+    For what it cannot assign it prints settings to start from. --propose writes a file of them that `run -c` takes,
+    with what trial runs show of noise, mounting and heading; what a person must decide stands in it. The exit code is 0
+    whether or not the log can be replayed, and 3 when a file cannot be read at all; this does not stop the others.
+
+    \b
+    Example:
+      insdvl-replay inspect dive.mcap
+      insdvl-replay inspect dive.mcap --deep -c vehicle.toml
+      insdvl-replay inspect dive.mcap --propose proposed.toml
+      insdvl-replay inspect dives/*.mcap --format json
+      insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
+    """
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.cli.screen import progress, written
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.result import as_json
+    from insdvl_replay.inspection.inventory import inspection_result, inventory_csv
+    from insdvl_replay.inspection.survey import inspect_log
+    from insdvl_replay.results.folder import require_replaceable_file
+
+    if propose is not None:
+        require_replaceable_file(propose, force=force)
+    given, code = load_config(preset, config, settings, allow_code=True), 0
+    if given.code:
+        log_to_stderr(f"info: inspect runs no code of the settings; it leaves out {', '.join(given.code)}")
+    resolved = given.without_code()
+    found = find_dives(logs)
+    dives = [found] if one_dive else [[dive] for dive in found]
+    inventories: list[Inventory] = []
+    inspected: list[Sequence[Path]] = []
+    for dive in dives:
+        try:
+            with progress(f"inspecting {dive[0].name}"):
+                inventory = inspect_log(dive, resolved, deep=deep or propose is not None, allow_damaged=allow_damaged)
+        except Exception as error:
+            code = max(code, log_failure(error, verbose))
+            continue
+        if format_ != "json":
+            is_csv, space = format_ == "csv", "\n" if inventories else ""
+            text = inventory_csv(inventory) if is_csv else written(inspection_result(inventory), format_)
+            write_stdout(space + text)
+        inventories.append(inventory)
+        inspected.append(dive)
+    if format_ == "json":
+        for content in [inventories] if len(dives) > 1 else inventories:
+            write_stdout(as_json(content).decode())
+    if propose is not None and inspected:
+        _propose(propose, inspected, resolved, allow_damaged=allow_damaged, force=force)
+    return code
+
+
+def _propose(
+    target: Path, dives: "Sequence[Sequence[Path]]", config: "Config", *, allow_damaged: bool, force: bool
+) -> None:
+    """Write settings; what is left to a person is said on stderr too."""
+    from insdvl_replay.cli.screen import compiling, progress
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.inspection.trial_runs import settings_file
+    from insdvl_replay.results.folder import result_file
+
+    with progress(f"trying settings{compiling()}"):
+        proposed = settings_file(dives, config, allow_damaged=allow_damaged)
+    with result_file(target, force=force) as path:
+        path.write_text(proposed.text, "utf-8")
+        load_config(file=path)  # what could not be read back is not put in place
+    log_to_stderr(f"wrote {target}")
+    for failure in proposed.failures:
+        log_to_stderr(f"stops a replay with it: {failure.message}; {failure.hint}")
+    if proposed.decisions:
+        log_to_stderr(f"to decide in it: {', '.join(proposed.decisions)}")
+    if proposed.missing:
+        log_to_stderr(f"without a value in it: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
+
+
+# --- calibrate
+
+
+def calibrate(
+    logs: opt.Logs,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write what is found as settings for -c.")
+    ] = None,
+    page_file: Annotated[
+        Path | None, typer.Option("--page", metavar="FILE", help="Write it with pictures as one HTML page.")
+    ] = None,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="Of arm, mounting, delay, scale and noise, with commas; left out, all of them."
+        ),
+    ] = None,
+    reference: Annotated[
+        bool, typer.Option("--reference", help="Hold it against the dives' references, and calibrate these, too.")
+    ] = False,
+    delays: Annotated[
+        Literal["each", "one"], typer.Option("--delays", help="Whether each dive has a delay of its own.")
+    ] = "each",
+    mounting: Annotated[
+        Literal["known", "unknown"], typer.Option("--mounting", help="If it is unknown, 24 are tried first.")
+    ] = "known",
+    hold_out: Annotated[
+        list[str],
+        typer.Option(
+            "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
+        ),
+    ] = [],  # noqa: B006
+    format_: opt.PrintedAs = "table",
+    allow_damaged: opt.AllowDamaged = False,
+    allow_code: opt.AllowCode = False,
+    one_dive: opt.OneDive = False,
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = "auto",
+) -> int:
+    """Estimate where the DVL sits, how it is turned, how late and how long it reads, and how noisy the sensors are.
+
+    The dives' own innovations say it, without a reference, as far as the vehicle turned and changed its speed. What
+    they do not show stays as it is. Nothing is applied: -o writes settings that `run -c` reads. The exit code is 0 if
+    something was estimated, and 3 if nothing was or a log cannot be used.
+
+    \b
+    Example:
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml -o calibrated.toml
+      insdvl-replay run dives/*.mcap -c vehicle.toml -c calibrated.toml
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --hold-out 0.3 --page found.html
+      insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o calibrated.toml
+      insdvl-replay calibrate archive --only arm,delay --mounting unknown
+    """
+    from insdvl_replay.calibration.calibration import calibrate as calibrated
+    from insdvl_replay.calibration.calibration import held_out_row
+    from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
+    from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
+    from insdvl_replay.calibration.parameters import ALL_GROUPS, REFERENCE_GROUPS, Geometry
+    from insdvl_replay.calibration.reference import with_reference
+    from insdvl_replay.cli.screen import compiling, progress, written
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.runtime import track_progress
+    from insdvl_replay.results.folder import require_replaceable_file, result_file
+    from insdvl_replay.show.render import render
+
+    resolved = load_config(preset, config, settings, allow_code=allow_code)
+    known_groups = REFERENCE_GROUPS if reference else ALL_GROUPS
+    groups = known_groups if only is None else tuple(name.strip() for name in only.split(",") if name.strip())
+    for name in groups:
+        require_known("--only", name, known_groups)
+    if not groups:
+        raise ConfigError("--only names nothing", f"of {', '.join(known_groups)}, with commas")
+    for file in (output, page_file):
+        if file is not None:
+            require_replaceable_file(file, force=force)
+    with progress(f"calibrating{compiling()}"):
+        dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
+        if not dives:
+            return failed
+        kept, held = _parted(dives, hold_out)
+        known, ways = Geometry.of(resolved.dvl), len(possible_axes(kept[0].dive.dvl))
+        if mounting == "unknown":
+            resolved = with_mounting(resolved, likeliest_mounting(kept))
+            kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
+        asked = [dive.innovations() for dive in kept]
+        found = calibrated(asked, resolved, groups, one_delay=delays == "one")
+        found = with_reference(found, kept, asked, groups) if reference else found
+        found = found.from_mounting(known, ways) if mounting == "unknown" else found
+        noise = found.noise if found.proposes_noise else None
+        others = [held_out_row(dive, found.change, noise) for dive in track_progress("trying it on other dives", held)]
+        found = replace(found, held_out=tuple(others))
+    for read, prepared in zip(kept, (dive.prepared for dive in asked), strict=True):
+        notes = (*read.dive.notes, *prepared.notes)
+        log_notes([replace(note, text=f"{read.dive.name}: {note.text}") for note in notes], verbose=verbose > 0)
+    settings_file = "" if output is None else str(output)
+    write_stdout(written(calibration_result(found, resolved, settings_file), format_))
+    # Both files, or, if the work is interrupted, none.
+    is_found = bool(found.estimated) or found.proposes_noise
+    contents: dict[Path, str] = {}
+    if page_file is not None:
+        figures = calibration_figures(found, asked)
+        contents[page_file] = render(calibration_result(found, resolved, settings_file, figures), "html")
+    if output is not None and is_found:
+        contents[output] = calibration_toml(found, [dive.prepared.alignment.start_ns for dive in asked])
+    with ExitStack() as stack:
+        for file, content in contents.items():
+            stack.enter_context(result_file(file, force=force)).write_text(content, "utf-8")
+    for file in contents:
+        log_to_stderr(f"wrote {file}")
+    if not is_found:
+        raise LogError(
+            "nothing could be estimated from these dives",
+            "record turns at speed, changes of speed, rolling and pitching, and calibrate by those",
+        )
+    return failed
+
+
+def _read(
+    logs: list[str], config: "Config", verbose: int, *, allow_damaged: bool, one_dive: bool
+) -> tuple[list["ReadDive"], int]:
+    """Read the dives; one that cannot be used does not stop the others."""
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.calibration.innovations import read_dive
+    from insdvl_replay.core.runtime import track_progress
+
+    paths, dives, code = find_dives(logs), [], 0
+    for path in track_progress("reading", [paths] if one_dive else [[path] for path in paths]):
+        try:
+            read = read_dive(path, config, allow_damaged=allow_damaged)
+            read.innovations()
+            dives.append(read)
+        except Exception as error:
+            code = max(code, log_failure(error, verbose))
+    return dives, code
+
+
+def _parted(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDive"], list["ReadDive"]]:
+    """Set dives aside to try the result on: every so many of them, or those that are named."""
+    names = [read.dive.name for read in dives]
+    aside: set[int] = set()
+    for wanted in hold_out:
+        try:
+            share = float(wanted)
+        except ValueError:
+            require_known("--hold-out", wanted, names)
+            aside.update(row for row, name in enumerate(names) if name == wanted)
+            continue
+        if not 0.0 < share < 1.0:
+            raise ConfigError(f"--hold-out {wanted}: a share lies between 0 and 1", "for example --hold-out 0.3")
+        count = max(1, round(share * len(names)))
+        aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
+    if len(aside) == len(names):
+        raise ConfigError("--hold-out leaves no dive to fit", "name more dives, or hold out fewer")
+    return (
+        [read for row, read in enumerate(dives) if row not in aside],
+        [read for row, read in enumerate(dives) if row in aside],
+    )
+
+
+# --- study
+
+study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
+Png = Annotated[bool, typer.Option("--png", help="Draw the pictures as PNG, too.")]
+
+StudyOutput = Annotated[
+    Path, typer.Option("-o", "--output", metavar="DIR", help="Where the study gets a folder of its own.")
+]
+
+
+@study.callback()
+def about_studies() -> None:
+    """Ask more than one replay can answer; each study writes tables as CSV, and pictures."""
+
+
+@study.command(cls=opt.PlainCommand)
+def montecarlo(
+    scenario: opt.Scenario,
+    runs: Annotated[int, typer.Option(metavar="N", min=2, help="How many dives to simulate.")] = 100,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all runs; each draws a seed of its own.")] = 1,
+    run: Annotated[
+        int | None, typer.Option(metavar="K", min=1, help="Repeat one run alone, counted from 1, and print it.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", help="Seconds; left out, as long as the scenario is.")
+    ] = None,
+    imu: Annotated[
+        str,
+        typer.Option(
+            metavar="GRADE",
+            help="How the sensors err: matched (exactly as the first filter believes), fog, tactical or mems.",
+        ),
+    ] = "matched",
+    outage: opt.Outages = [],  # noqa: B006
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", min=1, help="Runs at the same time; left out, one for each core.")
+    ] = None,
+    output: StudyOutput = Path("study"),
+    png: Png = False,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: opt.PrintedAs = "table",
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = "auto",
+) -> None:
+    """Simulate a dive many times and hold the filters' uncertainty against their true errors.
+
+    Every run draws its own sensor errors and its own error of the start. Per filter and state: the sigma from P beside
+    the sigma and mean over the runs, NEES with its interval, and believed beside true improvement.
+    With outages of the DVL also NEES before, in and after each.
+
+    \b
+    Example:
+      insdvl-replay study montecarlo lawnmower
+      insdvl-replay study montecarlo lawnmower --preset mems --outage 300:480
+      insdvl-replay study montecarlo straight --imu fog --preset fog --runs 200
+      insdvl-replay study montecarlo straight --run 17
+    """
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.studies.montecarlo import repeat_run, study_montecarlo
+
+    resolved, outages = load_config(preset, config, settings), opt.outage_spans(outage)
+    asked: dict[str, Any] = {"seed": seed, "duration_s": duration, "imu": imu, "outages": outages}
+    if run is not None:
+        from insdvl_replay.cli.screen import written
+
+        write_stdout(written(repeat_run(scenario, resolved, run, **asked), format_))
+        return
+    _keep(
+        lambda: study_montecarlo(scenario, resolved, runs=runs, jobs=jobs, **asked)[0],
+        f"simulating {scenario}", output / f"montecarlo-{scenario}", format_, verbose, force=force, png=png,
+    )  # fmt: skip
+
+
+@study.command(cls=opt.PlainCommand)
+def window(
+    logs: opt.Logs,
+    longest: Annotated[
+        int, typer.Option("--longest", metavar="N", min=2, max=1000, help="Try windows of 2 to N velocities.")
+    ] = 10,
+    start: opt.Start = None,
+    end: opt.End = None,
+    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time.")] = 1,
+    output: StudyOutput = Path("study"),
+    png: Png = False,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: opt.PrintedAs = "table",
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = "auto",
+) -> int:
+    """Find the number of past velocities that makes the best acceleration.
+
+    The slope of the DVL's velocities is held against the acceleration of the reference, at the middle of its window and
+    at its end, with the lever arm compensated and ignored. Several logs are pooled, with rows of their own beside.
+    A log that cannot be used does not stop the others.
+
+    \b
+    Example:
+      insdvl-replay study window dives/*.mcap -c vehicle.toml
+      insdvl-replay study window dive.mcap --longest 20
+    """
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.studies.window import LEFT_OUT, study_window
+
+    given = [*settings, *opt.span_settings(start, end)]
+    resolved, dives = load_config(preset, config, given, allow_code=True).without_code(), find_dives(logs)
+    report = _keep(
+        lambda: study_window(dives, resolved, longest, jobs=jobs),
+        "comparing accelerations", output / "window", format_, verbose, force=force, png=png,
+    )  # fmt: skip
+    left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
+    if left_out:
+        log_to_stderr(f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}")
+    return LogError.exit_code if left_out else 0
+
+
+@study.command(cls=opt.PlainCommand)
+def observability(
+    dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A recorded dive, or a scenario by its name.")],
+    start: opt.Start = None,
+    end: opt.End = None,
+    no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
+    output: StudyOutput = Path("study"),
+    png: Png = False,
+    config: opt.ConfigFiles = [],  # noqa: B006
+    preset: opt.Preset = None,
+    settings: opt.Settings = [],  # noqa: B006
+    format_: opt.PrintedAs = "table",
+    force: opt.Force = False,
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = "auto",
+) -> None:
+    """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
+
+    For velocities, accelerations in either model, and both together: rank, singular values, and the directions of error
+    that nothing shows, in words and numbers.
+
+    \b
+    Example:
+      insdvl-replay study observability straight --no-earth-rate
+      insdvl-replay study observability dive.mcap --start 60 --end 180
+    """
+    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.dive_record import dive_name
+    from insdvl_replay.studies.observability import study_observability
+
+    resolved = load_config(preset, config, [*settings, *opt.span_settings(start, end)], allow_code=True).without_code()
+    target = output / f"observability-{dive_name(Path(dive))}"
+    _keep(
+        lambda: study_observability(dive, resolved, earth_rate=not no_earth_rate),
+        "stacking the measurements", target, format_, verbose, force=force, png=png,
+    )  # fmt: skip
+
+
+def _keep(
+    work: Callable[[], "Result"], text: str, target: Path, format_: opt.Format, verbose: int, *, force: bool, png: bool
+) -> "Result":
+    """Do a study, write its files, print it, and say what was lost and where the files are."""
+    from insdvl_replay.cli.screen import compiling, progress, written
+    from insdvl_replay.results.folder import require_replaceable_folder, result_folder
+    from insdvl_replay.show.paper import require_matplotlib
+    from insdvl_replay.show.render import save_result
+
+    require_replaceable_folder(target, force=force)
+    if png:
+        require_matplotlib()
+    with progress(f"{text}{compiling()}"):
+        report = work()
+    with result_folder(target, force=force) as folder:
+        save_result(report, folder, png=png)
+    write_stdout(written(report, format_))
+    log_notes(report.notes, verbose=verbose > 0)
+    log_to_stderr(f"wrote {target}")
+    return report
