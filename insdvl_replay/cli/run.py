@@ -114,7 +114,7 @@ def run(
     talks = not (quiet or (shows_screen and sys.stderr.isatty()))
 
     def shown(report: Report, target: Path) -> str:
-        parts: Sequence[Part] = [table for chosen in tables for table in tables_named(report, chosen)]
+        parts: Sequence[Part] = tables_named(report, *tables)
         if not tables:
             parts = dive_screen(report, str(target / PAGE)) if shows_screen else dive_document(report)
         return written(replay_result(report, parts, tables), format_)

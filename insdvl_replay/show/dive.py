@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any, Final, Protocol, TypeVar
 
@@ -41,28 +41,14 @@ from insdvl_replay.core.result import (
     Title,
     flattened,
 )
-from insdvl_replay.core.tables import (
-    TABLES,
-    Candidate,
-    ConsistencyRow,
-    ConvergenceRow,
-    CredibilityRow,
-    DriftRow,
-    EvidenceRow,
-    ImprovementRow,
-    JumpRow,
-    Number,
-    OutageRow,
-    ReferenceErrorRow,
-    TrackFitRow,
-    finite,
-)
+from insdvl_replay.core.tables import TABLES, Candidate, EvidenceRow, Number, each_table, finite
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.show.document import (
     MISSING,
     TENFOLD,
+    Column,
     counted,
     decimal,
     losses,
@@ -204,19 +190,74 @@ def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
     return candidate.improvement, measured, percent(candidate.mean_improvement_pct), candidate.belief or MISSING
 
 
-def evidence_tables(report: Report) -> Iterator[DisplayTable]:
-    """Lay out what was measured of each candidate, and the drift of all filters without DVL, where there are rows."""
-    for name in report.filters:
-        evidence = _of(name, report.tables.evidence)
-        rows = [row for row in evidence if row.baseline is not None or row.value is not None]
-        if rows:
-            with_votes = [replace(row, word=word_in_table(row)) for row in rows]
+def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
+    """Return the tables that have rows as people see them, by name, and by filter where each filter has its own."""
+    found: dict[tuple[str, str], DisplayTable] = {}
+    for layout, rows in each_table(report.tables):
+        kept: list[Any] = list(filter(_SHOWN_ROWS.get(layout.name), rows))
+        if layout.name == "evidence":
+            kept = [replace(row, word=word_in_table(row)) for row in kept]
+        elif layout.name == "drift":
+            quantities = list(dict.fromkeys(row.quantity for row in kept))
+            kept.sort(key=lambda row: quantities.index(row.quantity))
+        is_apart = "{filter}" in layout.title
+        for name in (report.baseline, *report.filters) if is_apart else ("",):
+            if own := _of(name, kept) if is_apart else kept:
+                footnote = _footnote(report, layout.name, name, own)
+                found[layout.name, name] = shown(layout.row, own, footnote, filter=name, baseline=report.baseline)
+        if layout.name == "consistency" and (axes := [row for row in report.tables.consistency if row.whiteness]):
+            found["innovations", ""] = table_of(
+                "Innovations by axis: size, and likeness of each to the one before", axes, _INNOVATIONS
+            )
+    return found
+
+
+_SHOWN_ROWS: Final[Mapping[str, Callable[[Any], object]]] = {
+    "evidence": lambda row: row.baseline is not None or row.value is not None,
+    "reference_error": lambda row: row.samples,
+    "credibility": lambda row: row.samples,
+    "consistency": lambda row: is_whole(row.measurement),
+}
+"""Which rows of a table people see, where it is not all."""
+_INNOVATIONS: Final[tuple[Column, ...]] = (
+    ("filter", "l", "filter"),
+    ("measurement", "l", "measurement:words"),
+    ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
+    ("verdict", "l", "verdict"),
+    ("likeness", "r", "autocorrelation:2"),
+    ("limit", "r", "autocorrelation_limit:2"),
+    ("whiteness", "l", "whiteness"),
+)
+
+
+def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str:
+    """State how the rows of a table are read, where that depends on the rows."""
+    match table:
+        case "evidence":
             # Early reports know of no solutions that were read.
             is_read = bool(report.config.get("filters", {}).get(name, {}).get("solution"))
-            footnote = _how_measured(max(row.starts for row in rows), is_read=is_read)
-            yield shown(EvidenceRow, with_votes, footnote=footnote, filter=name, baseline=report.baseline)
-    if report.tables.outage:
-        yield shown(OutageRow, report.tables.outage)
+            return _how_measured(max(row.starts for row in rows), is_read=is_read)
+        case "convergence":
+            return (
+                f"{report.baseline} ends at {number(rows[0].baseline_s)} s. nearest: when the sigma of {name} "
+                "is nearest to the target, the time of Levy and Klein. It may turn back there."
+            )
+        case "reference_error":
+            errors = _of(name, report.tables.reference_error)
+            missing = _grouped((row.status, label(row.quantity)) for row in errors)
+            missing.pop(ReferenceStatus.COMPARED, None)
+            return "; ".join(
+                status if len(found) == len(errors) else f"{status}: {', '.join(found)}"
+                for status, found in missing.items()
+            )
+        case "consistency":
+            return _in_spite((row.why, f"{row.filter} {row.measurement}") for row in rows)
+        case "credibility":
+            return (
+                f"Expected: NEES 1, of a group 3, all together {rows[-1].dof}; 68.3 % and 99.7 %. The reference is "
+                "taken as exact. indep.: samples that do not repeat each other. "
+            ) + _in_spite((row.why, label(row.quantity)) for row in rows)
+    return ""
 
 
 def _how_measured(starts: int, *, is_read: bool) -> str:
@@ -241,59 +282,6 @@ def _how_measured(starts: int, *, is_read: bool) -> str:
     )
 
 
-def filter_tables(report: Report) -> Iterator[DisplayTable]:
-    """Lay out three tables for each candidate and three on how far to trust each filter, those that have rows."""
-    tables = report.tables
-    for name in report.filters:
-        names = {"filter": name, "baseline": report.baseline}
-        if improvement := _of(name, tables.improvement):
-            yield shown(ImprovementRow, improvement, **names)
-        if convergence := _of(name, tables.convergence):
-            footnote = (
-                f"{report.baseline} ends at {number(convergence[0].baseline_s)} s. nearest: when the sigma of {name} "
-                "is nearest to the target, the time of Levy and Klein. It may turn back there."
-            )
-            yield shown(ConvergenceRow, convergence, footnote=footnote, **names)
-        errors = _of(name, tables.reference_error)
-        if compared := [row for row in errors if row.samples]:
-            missing = _grouped((row.status, label(row.quantity)) for row in errors)
-            missing.pop(ReferenceStatus.COMPARED, None)
-            reasons = [
-                status if len(found) == len(errors) else f"{status}: {', '.join(found)}"
-                for status, found in missing.items()
-            ]
-            yield shown(ReferenceErrorRow, compared, footnote="; ".join(reasons), **names)
-    if consistency := [row for row in tables.consistency if is_whole(row.measurement)]:
-        footnote = _in_spite((row.why, f"{row.filter} {row.measurement}") for row in consistency)
-        yield shown(ConsistencyRow, consistency, footnote=footnote)
-    if innovations := [row for row in tables.consistency if row.whiteness]:
-        yield table_of(
-            "Innovations by axis: size, and likeness of each to the one before",
-            innovations,
-            (
-                ("filter", "l", "filter"),
-                ("measurement", "l", "measurement:words"),
-                (
-                    "NIS / dof",
-                    "r",
-                    lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof),
-                ),
-                ("verdict", "l", "verdict"),
-                ("likeness", "r", "autocorrelation:2"),
-                ("limit", "r", "autocorrelation_limit:2"),
-                ("whiteness", "l", "whiteness"),
-            ),
-        )
-    for name in (report.baseline, *report.filters):
-        if nees := [row for row in _of(name, tables.credibility) if row.samples]:
-            footnote = (
-                f"Expected: NEES 1, of a group 3, all together {nees[-1].dof}; 68.3 % and 99.7 %. The reference is "
-                "taken as exact. indep.: samples that do not repeat each other. "
-            )
-            footnote += _in_spite((row.why, label(row.quantity)) for row in nees)
-            yield shown(CredibilityRow, nees, footnote=footnote, filter=name)
-
-
 def _grouped(named: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for reason, name in named:
@@ -307,17 +295,6 @@ def _in_spite(named: Iterable[tuple[str, str]]) -> str:
     reasons.pop("", None)
     texts = "; ".join(f"{why}: {', '.join(found)}" for why, found in reasons.items())
     return f"In spite of the interval, {texts}." if texts else ""
-
-
-def reference_tables(report: Report) -> Iterator[DisplayTable]:
-    """Lay out how far each filter is from the reference, nothing without one; and how often positions jump."""
-    tables, quantities = report.tables, list(dict.fromkeys(row.quantity for row in report.tables.drift))
-    if drift := sorted(tables.drift, key=lambda row: quantities.index(row.quantity)):
-        yield shown(DriftRow, drift)
-    if tables.track_fit:
-        yield shown(TrackFitRow, tables.track_fit)
-    if tables.jumps:
-        yield shown(JumpRow, tables.jumps)
 
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.
@@ -346,12 +323,10 @@ def replay_result(found: Report | Sequence[Report], document: Sequence[Part], na
     )
 
 
-def tables_named(report: Report, name: str) -> Iterator[DisplayTable]:
-    """Yield what people are shown of a table; its title begins with its name."""
-    begins = ("Consistency", "Innovations") if name == "consistency" else (name.replace("_", " ").capitalize(),)
-    for table in (*evidence_tables(report), *filter_tables(report), *reference_tables(report)):
-        if table.title.startswith(begins):
-            yield table
+def tables_named(report: Report, *names: str) -> list[DisplayTable]:
+    """Return what people are shown of some tables."""
+    wanted = (*names, *(["innovations"] if "consistency" in names else []))
+    return [table for (name, _), table in tables_of(report).items() if name in wanted]
 
 
 # --- The document, and the page.
@@ -366,10 +341,15 @@ def dive_document(
 
     ``first`` is between the verdict and the evidence, ``figures`` after the evidence, ``last`` after all tables.
     """
-    evidence, tables = list(evidence_tables(report)), list(filter_tables(report))
-    references = list(reference_tables(report))
-    by_candidate = [table for table in evidence if table.title.startswith("Evidence")]
-    others = [*evidence[len(by_candidate) :], *references, *tables]
+    found = tables_of(report)
+
+    def named(*names: str) -> list[DisplayTable]:
+        return [table for (name, _), table in found.items() if name in names]
+
+    by_candidate, outage, references = named("evidence"), named("outage"), named("drift", "track_fit", "jumps")
+    gains = ("improvement", "convergence", "reference_error")
+    tables = [found[kind, name] for name in report.filters for kind in gains if (kind, name) in found]
+    tables += named("consistency", "innovations", "credibility")
     glance = [dataclasses.replace(glance_table(report), links=())] if report.filters else []
     return [
         Only(PRINTED, (Title(heading(report)),)),
@@ -380,11 +360,11 @@ def dive_document(
         Only(PAGE, tuple(by_candidate)),
         *track_fit_line(report),
         *([] if has_reference(report) else [NO_REFERENCE]),
-        Only(PRINTED, tuple(evidence)),
+        Only(PRINTED, (*by_candidate, *outage)),
         Only(PRINTED_LONG, tuple(references)),
         *figures,
         Heading("Tables"),
-        Only(PAGE, (*glance, *(dataclasses.replace(table, folded=True) for table in others))),
+        Only(PAGE, (*glance, *(dataclasses.replace(table, folded=True) for table in (*outage, *references, *tables)))),
         Only(PRINTED, (*tables, Sentences(closing_lines(report)))),
         *last,
     ]
