@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
-import msgspec
 import typer
 
 from insdvl_replay.cli import options as opt
@@ -210,6 +209,8 @@ def schema(
 
 def json_schema(name: str) -> bytes:
     """Describe one of them as JSON schema (draft 2020-12)."""
+    import msgspec
+
     from insdvl_replay.calibration.rows import TABLES as CALIBRATION
     from insdvl_replay.changes.comparison import Comparison
     from insdvl_replay.changes.formats import CheckReport
