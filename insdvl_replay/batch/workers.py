@@ -14,9 +14,9 @@ import sys
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from typing import Any, Final, TypeVar
 
@@ -49,41 +49,29 @@ def do_each(
         for place, item in enumerate(items):
             yield place, _outcome(partial(work, item))
         return
-    suspects = {}
-    # Closed here: an interruption while a finaliser ends the workers would be swallowed.
-    with closing(_pass(work, dict(enumerate(items)), partial(pool, False))) as passed:
-        for place, outcome in passed:
-            if isinstance(outcome, WorkerLostError):
-                suspects[place] = items[place]
-            else:
-                yield place, outcome
-    yield from _pass(work, suspects, partial(pool, True))
-
-
-def _pass(
-    work: Callable[[Item], Result],
-    items: Mapping[int, Item],
-    open_pool: Callable[[], AbstractContextManager[tuple[Submit, int]]],
-) -> Generator[tuple[int, Result | Exception], None, None]:
-    """Go through the items, with fresh workers after every loss."""
-    waiting = deque(items.items())
-    while waiting:
-        with open_pool() as (submit, in_flight):
-            running: dict[Future[Result], int] = {}
-            whole = True
-            while running or (waiting and whole):
-                while waiting and whole and len(running) < in_flight:
-                    place, item = waiting.popleft()
+    waiting, suspects, alone = deque(range(len(items))), list[int](), False
+    while waiting or suspects:
+        if not waiting:
+            waiting, suspects, alone = deque(suspects), [], True
+        with pool(alone) as (submit, in_flight):  # fresh workers after every loss
+            running, broken = dict[Future[Result], int](), False
+            while running or (waiting and not broken):
+                while waiting and not broken and len(running) < in_flight:
+                    place = waiting.popleft()
                     try:
-                        future = submit(work, item)
+                        future = submit(work, items[place])
                     except BrokenExecutor as error:  # since the last result
                         future = Future()
                         future.set_exception(error)
                     running[future] = place
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    outcome = _outcome(future.result)
-                    whole = whole and not isinstance(outcome, WorkerLostError)
-                    yield running.pop(future), outcome
+                    place, outcome = running.pop(future), _outcome(future.result)
+                    lost = isinstance(outcome, WorkerLostError)
+                    broken = broken or lost
+                    if lost and not alone:
+                        suspects.append(place)
+                    else:
+                        yield place, outcome
 
 
 def _outcome(result: Callable[[], Result]) -> Result | Exception:
