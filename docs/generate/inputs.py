@@ -4,8 +4,8 @@ from collections.abc import Iterable
 
 from written import PROJECT, markdown_table, renewed
 
-from insdvl_replay.logs.columns.known_types import LOG_TIME, TYPES, KnownType, Types
-from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
+from insdvl_replay.core.states import SENSORS
+from insdvl_replay.logs.columns.topics import LOG_TIME, NEEDS, TYPES, KnownType, Types
 from insdvl_replay.logs.formats.fields import ENCODINGS
 from insdvl_replay.logs.formats.recording import OTHER_FORMATS
 
@@ -51,9 +51,9 @@ def _sensors() -> str:
     """The types of each sensor beside IMU and DVL, those last that have to be named."""
     rows = [
         (types, f"{name}, attitude" if gives == "attitude" else name, stamp, about)
-        for name, held in SENSOR_TOPICS.items()
-        for known in (*held.types, held.if_named)
-        for types, gives, stamp, about in _rows(known)
+        for name in SENSORS
+        for group in (*NEEDS[name].groups, *NEEDS[name].if_named)
+        for types, gives, stamp, about in _rows(TYPES[group])
     ]
     return markdown_table(("type", "gives", "stamp", "what is to be known"), rows)
 

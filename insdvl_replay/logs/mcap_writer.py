@@ -48,19 +48,7 @@ _RECORD_HEAD: Final = [
 ]
 
 
-@dataclass(frozen=True)
-class InUnit:
-    """A column that is converted to another unit as it is written, since a copy of a long history is large."""
-
-    values: Floats  # (k,) or (k, n), SI
-    unit: float  # SI of one unit
-
-    def __getitem__(self, rows: slice) -> Floats:
-        """Return some rows in the unit."""
-        return self.values[rows] / self.unit
-
-
-Column = NDArray[Any] | InUnit | str | float | tuple[float, ...]
+Column = NDArray[Any] | str | float | tuple[float, ...]
 """Values of one field: an array with one row per message, or what all messages share."""
 
 
@@ -116,7 +104,7 @@ class _Messages:
         messages = self._layout.new_messages(len(time_ns))
         for path, column in self.batch.columns.items():
             value: Any = self._texts.get(path, column)
-            messages[path] = value[rows] if isinstance(value, np.ndarray | InUnit) else value
+            messages[path] = value[rows] if isinstance(value, np.ndarray) else value
         records["message"] = messages.view(f"V{self._layout.size}")
         as_bytes: list[bytes] = records.view(f"V{self.size}").tolist()
         return as_bytes

@@ -26,19 +26,17 @@ from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.clocks import clock_notes, stamp_unit
-from insdvl_replay.logs.columns.dvl import decode_dvl, dvl_requirement
-from insdvl_replay.logs.columns.imu import TRUTH_REQUIREMENT, decode_imu, decode_truth, imu_requirement
+from insdvl_replay.logs.columns.dvl import decode_dvl
+from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import (
     decode_reference,
     decode_solution,
-    fix_requirement,
-    own_solution_requirement,
     read_tum,
-    reference_requirement,
 )
-from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor, sensor_requirement
+from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor
 from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import (
+    NEEDS,
     OWN_TOPIC,
     Source,
     TopicRequirement,
@@ -229,18 +227,18 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     def needed(required: TopicRequirement) -> Finding:
         return _explained(topics, required, lambda: (topics.need(required),))
 
-    imu, dvl = needed(imu_requirement(config)), needed(dvl_requirement(config))
+    imu, dvl = needed(requirement("imu", config.imu)), needed(requirement("dvl", config.dvl))
     besides = {source.topic for source in dvl.sources} | {own.topic for own in config.solutions.values() if own.topic}
-    required = reference_requirement(config)
+    required = requirement("reference", config.reference)
     reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
-    sensors = [needed(sensor_requirement(name, config)) for name in config.sensors]
+    sensors = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
     for name, section in config.topics.items():
-        sensors.append(needed(requirement(section, f"{OWN_TOPIC}{name}", ("values",), enough=[{"values"}])))
+        sensors.append(needed(requirement(f"{OWN_TOPIC}{name}", section, "topic")))
     for name, settings in config.solutions.items():
         if settings.topic is None:
             continue
-        wanted = [own_solution_requirement(settings, solution_role(name))]
-        wanted += [fix_requirement(settings, solution_role(name))] if settings.fix is not None else []
+        wanted = [requirement(solution_role(name), settings, "solution")]
+        wanted += [requirement(solution_role(name), settings, "fix", "fix")] if settings.fix is not None else []
 
         def look(wanted: Sequence[TopicRequirement] = wanted) -> tuple[Source, ...]:
             sources = tuple(map(topics.need, wanted))
@@ -253,7 +251,8 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
             return sources
 
         sensors.append(_explained(topics, wanted[0], look))
-    truth = _explained(topics, TRUTH_REQUIREMENT, lambda: tuple(filter(None, [topics.find(TRUTH_REQUIREMENT)])))
+    bias = TopicRequirement("truth", NEEDS["truth"])
+    truth = _explained(topics, bias, lambda: tuple(filter(None, [topics.find(bias)])))
     return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
 
 
@@ -263,7 +262,8 @@ def idle_sensors(
     """Name the topics of unused sensors, by sensor: they could aid a filter and play no other role."""
     topics, asked = Topics(place, channels), {finding.role for finding in findings}
     taken = {source.topic for finding in findings for source in (*finding.sources, *finding.candidates)}
-    found = {name: topics.candidates(sensor_requirement(name, config), taken) for name in SENSORS if name not in asked}
+    unused = [requirement(name, getattr(config, name)) for name in SENSORS if name not in asked]
+    found = {required.role: topics.candidates(required, taken) for required in unused}
     return {name: candidates for name, candidates in found.items() if candidates}
 
 
@@ -296,9 +296,9 @@ def _explained(
 
 
 def _references(topics: Topics, config: Config, besides: Collection[str]) -> tuple[Source, ...]:
-    required = reference_requirement(config)
+    required = requirement("reference", config.reference)
     solution = topics.find(required, besides) or (topics.need(required) if any(required.paths.values()) else None)
     if solution and solution.fields.keys() & {"latitude", "origin"} and config.reference.fix is None:
         return (solution,)
-    fix = topics.find(fix_requirement(config.reference, "reference"), besides)
+    fix = topics.find(requirement("reference", config.reference, "fix", "fix"), besides)
     return tuple(source for source in (solution, fix) if source is not None)

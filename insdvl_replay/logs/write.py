@@ -6,20 +6,19 @@ another order on each, and what goes through a library's arcs is rounded, since 
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
 from insdvl_replay import __version__
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns, SensorColumns, TimeNs
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.states import DEG_PER_HOUR, MG, STATES
+from insdvl_replay.core.states import DEG_PER_HOUR, MG, STANDARD_GRAVITY_MPS2, STATES
 from insdvl_replay.core.tables import Tables, each_table
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu_flu
-from insdvl_replay.geometry.rotation import rpy_from_mat, turned
-from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
 from insdvl_replay.logs.mcap_writer import (
     BASE_LINK,
     DVL,
@@ -28,7 +27,6 @@ from insdvl_replay.logs.mcap_writer import (
     ODOM,
     Batch,
     Column,
-    InUnit,
     components,
     stamp,
     stamped,
@@ -38,9 +36,15 @@ from insdvl_replay.logs.mcap_writer import (
 ALTITUDE_M: Final = 20.0  # above a flat seabed, from which the ranges of the beams follow; no filter uses it
 VELOCITY_DIGITS: Final = 6  # decimals of what the instrument makes of its beams, m/s and rad: far below their noise
 ANGLE_DIGITS: Final = 9  # decimals of the reference's angles, rad
+_ATMOSPHERE_PA: Final = 101325.0
+_SEA_WATER_KGPM3: Final = 1025.0
 _BEAMS_FOR_VELOCITY: Final = 3
 _UNKNOWN_VARIANCE: Final = -1.0
 _UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
+_DVL_MESSAGES: Final = {
+    "velocity": ("insdvl_msgs/msg/DvlVelocity", "velocity_mps"),
+    "acceleration": ("insdvl_msgs/msg/DvlAcceleration", "acceleration_mps2"),
+}
 _LOG_LEVELS: Final = {Severity.INFO: 20, Severity.WARNING: 30}
 
 
@@ -73,9 +77,27 @@ def write_dive(path: Path, dive: Dive) -> None:
         columns = {"accel_bias_mps2": dive.truth.accel_bias_b, "gyro_bias_radps": dive.truth.gyro_bias_b}
         batches.append(stamped("/truth/biases", "insdvl_msgs/msg/SensorBiases", dive.truth.time_ns, IMU, columns))
     for name, sensor in dive.sensors.items():
-        topic, type_name, frame, columns = SENSOR_TOPICS[name].message(sensor.values, sensor.mat_nb)
-        batches.append(stamped(topic, type_name, sensor.time_ns, frame, columns))
+        batches.append(_sensor_batch(name, sensor))
     write_log(path, batches, {"version": __version__, "dive": dive.name})
+
+
+def _sensor_batch(name: str, sensor: SensorColumns) -> Batch:
+    """Return the messages of a sensor: a pressure, an attitude, level where it is not known, or a fix."""
+    values, mat_nb = sensor.values, sensor.mat_nb
+    columns: dict[str, Column]
+    if name == "depth":
+        pressure_pa = _ATMOSPHERE_PA + _SEA_WATER_KGPM3 * STANDARD_GRAVITY_MPS2 * values[:, 0]
+        columns = {"fluid_pressure": np.round(pressure_pa, 1), "variance": 0.0}  # a hundredth of a millimetre of water
+        return stamped("/pressure", "sensor_msgs/msg/FluidPressure", sensor.time_ns, IMU, columns)
+    if name == "heading":
+        if mat_nb is None:
+            mat_nb = mat_from_rpy(np.concatenate([np.zeros((len(values), 2)), values], axis=1))
+        quat = np.round(quat_enu_flu(mat_nb), 12)
+        columns = components("quaternion", quat, "xyzw")
+        return stamped("/ahrs", "geometry_msgs/msg/QuaternionStamped", sensor.time_ns, BASE_LINK, columns)
+    latitude_deg, longitude_deg = np.round(np.rad2deg(values[:, :2]), 10).T  # 11 um
+    columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": np.round(values[:, 2], 4)}
+    return stamped("/gnss", "sensor_msgs/msg/NavSatFix", sensor.time_ns, BASE_LINK, columns)
 
 
 def _dvl_batch(dvl: DvlColumns) -> Batch:
@@ -131,33 +153,13 @@ def _velocity_from_beams(beam_velocity_mps: Floats, beam_vectors_d: Floats) -> F
     return np.divide(turned(adjugate, projected), determinant, out=np.full_like(projected, np.nan), where=enough)
 
 
-class Errors(Protocol):
-    """Estimate minus reference at the reference's times."""
-
-    @property
-    def time_ns(self) -> TimeNs:
-        """Times, (k,)."""
-
-    @property
-    def position_error_ned_m(self) -> Floats:
-        """North, east, down, (k, 3)."""
-
-    @property
-    def velocity_error_n(self) -> Floats:
-        """North, east, down, m/s, (k, 3)."""
-
-    @property
-    def attitude_error_rad(self) -> Floats:
-        """About level forward, level starboard and down, (k, 3)."""
-
-
 def write_replay(
     path: Path,
     *,
     dive: Dive,
     histories: Sequence[History],
     dvl: Mapping[str, tuple[TimeNs, Floats]],  # velocity and acceleration in body axes, (m,) and (m, 3)
-    errors: Mapping[str, Errors],  # by filter
+    errors: Mapping[str, Any],  # by filter, estimate minus reference: time_ns, (k,), and errors of (k, 3)
     tables: Tables,
     notes: Sequence[Note],
     config_toml: str,
@@ -166,10 +168,10 @@ def write_replay(
     """Write what the filters made of a dive; a `LogError` where a time does not fit a ROS stamp."""
     origin = histories[0].position[0]
     batches = [batch for history in histories for batch in _filter_batches(history, errors.get(history.filter), origin)]
-    for quantity, (time_ns, values_b) in dvl.items():
-        unit = {"velocity": "mps", "acceleration": "mps2"}[quantity]
-        type_name = f"insdvl_msgs/msg/Dvl{quantity.capitalize()}"
-        batches.append(stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {f"{quantity}_{unit}": values_b}))
+    for quantity, (type_name, column) in _DVL_MESSAGES.items():
+        if quantity in dvl:
+            time_ns, values_b = dvl[quantity]
+            batches.append(stamped(f"/insdvl/dvl/{quantity}", type_name, time_ns, IMU, {column: values_b}))
     if dive.reference is not None:
         # As the log has it, inside the replay; poses count from where the first filter starts.
         shown = dive.reference.within(int(histories[0].time_ns[0]), int(histories[0].time_ns[-1]))
@@ -191,7 +193,7 @@ def write_replay(
     write_log(path, batches, metadata, {"config.toml": ("application/toml", config_toml.encode())})
 
 
-def _filter_batches(history: History, errors: Errors | None, origin: Floats) -> list[Batch]:
+def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch]:
     topic, batches = f"/insdvl/{history.filter}", []
     motion, odometry = history.motion(), []
     if history.is_partial:
@@ -202,15 +204,14 @@ def _filter_batches(history: History, errors: Errors | None, origin: Floats) -> 
     else:
         columns: dict[str, Column] = {
             **solution(history.position, history.velocity_n, rpy_from_mat(history.mat_nb)),
-            "accel_bias_mg": InUnit(history.accel_bias_b, MG),
-            "gyro_bias_degph": InUnit(history.gyro_bias_b, DEG_PER_HOUR),
+            "accel_bias_mg": history.accel_bias_b / MG,
+            "gyro_bias_degph": history.gyro_bias_b / DEG_PER_HOUR,
         }
         batches.append(stamped(f"{topic}/state", "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns))
         odometry = [_odometry_batch(topic, motion, origin), _fix_batch(topic, motion)]
     if history.believed.any():
         columns = {
-            f"{state.id}_{_UNIT_NAMES[state.unit]}": InUnit(history.sd[:, state.index], state.factor)
-            for state in STATES
+            f"{state.id}_{_UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor for state in STATES
         }
         batches.append(stamped(f"{topic}/sigma", "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns))
     if errors is not None:

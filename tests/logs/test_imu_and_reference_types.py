@@ -15,7 +15,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_types import TYPES
+from insdvl_replay.logs.columns.topics import TYPES
 from insdvl_replay.logs.formats.definitions import definition_text
 
 TIMES = 0.1 * np.arange(20)

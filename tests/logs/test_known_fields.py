@@ -16,17 +16,12 @@ from mcap.writer import Writer
 from rosbag_messages import START_NS, store_with
 from rosbags.typesys.store import Typestore
 
-from insdvl_replay.logs.columns.known_types import SOLUTIONS, TYPES, KnownType, Types
-from insdvl_replay.logs.columns.sensors import SENSOR_TOPICS
+from insdvl_replay.logs.columns.topics import TYPES, KnownType, Types
 from insdvl_replay.logs.formats.definitions import definition_text
 from insdvl_replay.logs.formats.fields import channel_paths, find_path, open_reader, split_paths
 from insdvl_replay.logs.formats.recording import open_recording
 
-TABLES: list[Types] = [
-    *TYPES.values(),
-    SOLUTIONS,
-    *(types for held in SENSOR_TOPICS.values() for types in (*held.types, held.if_named)),
-]
+TABLES: list[Types] = [*TYPES.values()]
 NOT_SHIPPED = ("dvl1000_ros/msg/DVL", "tf/msg/tfMessage")
 """Of ROS 1 alone, whose logs all have definitions."""
 NAMES = sorted({name for types in TABLES for name in types if "/" in name} - {*NOT_SHIPPED})

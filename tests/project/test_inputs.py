@@ -15,11 +15,11 @@ from insdvl_replay.cli.app import app
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.known_types import TYPES
+from insdvl_replay.logs.columns.topics import TYPES
 from insdvl_replay.logs.formats.recording import OTHER_FORMATS, OtherFormat
 
 PAGE = inputs.PAGE.read_text("utf-8")
-GROUPS = [types for name, types in TYPES.items() if name != "onboard"]
+GROUPS = [types for name, types in TYPES.items() if name not in ("onboard", "solution")]
 
 
 def test_page_is_current() -> None:

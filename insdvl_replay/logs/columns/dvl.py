@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Dvl
+from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
@@ -19,26 +19,12 @@ from insdvl_replay.geometry.rotation import mat_from_quat
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.clocks import Mask
 from insdvl_replay.logs.columns.imu import FRD, in_frd
-from insdvl_replay.logs.columns.known_types import TYPES
 from insdvl_replay.logs.columns.tables import Table
-from insdvl_replay.logs.columns.topics import TopicRequirement, requirement
 
 _MOVING_MPS: Final = 0.05
 _SPEEDS, _AXES = "velocities along the beams", "axes of the beams"  # columns that no message holds as such
 _VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
 _BEAM_HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has"
-
-
-def dvl_requirement(config: Config) -> TopicRequirement:
-    """State what a DVL needs of a topic."""
-    return requirement(
-        config.dvl,
-        "dvl",
-        ("beam_velocity", "beam_valid", "velocity", "valid"),
-        by_type=[TYPES["dvl_beams"], TYPES["dvl_velocity"]],
-        if_named=TYPES["dvl_if_named"],
-        enough=[{"beam_velocity"}, {"velocity"}],
-    )
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:

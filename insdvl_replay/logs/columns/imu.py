@@ -9,29 +9,18 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_gaps, note_lost_samples
 from insdvl_replay.logs.columns.clocks import Mask
-from insdvl_replay.logs.columns.known_types import TYPES
 from insdvl_replay.logs.columns.tables import Table
-from insdvl_replay.logs.columns.topics import TopicRequirement, requirement
 
 FRD: Final = "frd"  # the project's axes, which are assumed where nothing tells them
 _NAMED_AXES: Final = {FRD: "+x+y+z", "flu": "+x-y-z"}
 _LOST_HINT: Final = "imu.specific_force and imu.angular_rate name other fields; imu.max_gap_s says what is bridged"
-
-TRUTH_REQUIREMENT: Final = TopicRequirement("truth", "", None, [TYPES["truth"]], enough=[{"accel_bias", "gyro_bias"}])
-
-
-def imu_requirement(config: Config) -> TopicRequirement:
-    """State what an IMU needs of a topic."""
-    quantities = ("specific_force", "angular_rate")
-    groups = [TYPES["imu"], TYPES["imu_of_drivers"]]
-    return requirement(config.imu, "imu", quantities, by_type=groups, enough=[set(quantities)])
 
 
 def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Heading, Initial, Navigation, Reference, Solution
+from insdvl_replay.core.config import MOST_BYTES, Heading, Initial, Navigation, Reference, Solution
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Floats,
@@ -34,13 +34,10 @@ from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, wrap_angle
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_lost_samples
-from insdvl_replay.logs.columns.known_types import SOLUTIONS, TYPES
 from insdvl_replay.logs.columns.tables import Table, rows_among
-from insdvl_replay.logs.columns.topics import BOW_DOWN, TopicRequirement, requirement
+from insdvl_replay.logs.columns.topics import BOW_DOWN
 
 ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
-ANGLES: Final = ({"latitude", "longitude"}, {"roll", "pitch", "heading"})  # all of a set are there or none
-MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *ANGLES)
 _NED, _BODY, _OLD_NED = 1, 3, 0  # PX4's frames, and that of the messages before 1.13
 _NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))  # which frame of a pose is north-east-down
 SIZE: Final = 9  # velocity error, misalignment and position error
@@ -49,25 +46,6 @@ _LARGEST: Final = 1e30  # powers of larger variances are no numbers
 _TUM_COLUMNS: Final = 8
 _TUM_FORMAT: Final = "time x y z qx qy qz qw: seconds on the log's clock, m, and the attitude"
 _LATEST_S: Final = Decimal(2**63) / NS_PER_S
-
-
-def reference_requirement(config: Config) -> TopicRequirement:
-    """State what a reference needs of a topic."""
-    return requirement(
-        config.reference,
-        "reference",
-        TOPIC_KEYS,
-        by_type=[TYPES["nav_solution"], TYPES["odometry"]],
-        if_named={**TYPES["fix"], **TYPES["extended_fix"], **TYPES["poses"]},
-        enough=MOTION,
-        together=ANGLES,
-    )
-
-
-def fix_requirement(settings: Navigation, role: str) -> TopicRequirement:
-    """State what a geographic position needs of a topic."""
-    groups = [TYPES["fix"], TYPES["extended_fix"]]
-    return requirement(settings, role, (), "fix", by_type=groups, enough=[{"latitude", "longitude"}])
 
 
 @dataclass(frozen=True)
@@ -264,18 +242,6 @@ def union(parts: Sequence[Part]) -> ReferenceColumns:
 
 
 # Onboard solutions.
-
-
-def own_solution_requirement(settings: Solution, role: str) -> TopicRequirement:
-    """State what an onboard solution needs of its topic, which is always named."""
-    return requirement(
-        settings,
-        role,
-        TOPIC_KEYS,
-        if_named=SOLUTIONS,
-        enough=[*MOTION, {"latitude", "longitude"}, {"local_position"}],
-        together=ANGLES,
-    )
 
 
 def no_covariances() -> tuple[TimeNs, Floats]:

@@ -1,6 +1,7 @@
 """The messages of one topic as columns, read from a log block by block, every topic in the same pass."""
 
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -134,7 +135,7 @@ def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
 
 def read_sample(log: Recording, source: Source, enough: int) -> Table:
     """Read the columns of a topic's first rows, up to the block with which there are enough."""
-    builder = _Builder(log, source)
+    builder = _Builder(log, source, enough)
     for block in log.blocks({channel.id for channel in source.channels}):
         builder.add(block)
         if builder.count >= enough:
@@ -142,14 +143,62 @@ def read_sample(log: Recording, source: Source, enough: int) -> Table:
     return builder.table()
 
 
+class Column:
+    """A column that fills block by block; the log announces how many rows it will have.
+
+    Where all rows are the same, one stands for all.
+    """
+
+    def __init__(self, announced: int) -> None:
+        self._announced = announced
+        self._first: NDArray[Any] = np.empty((1, 0), np.int64)
+        self._rows: NDArray[Any] | None = None
+        self._count = 0
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Add rows, (k, n); whole numbers stay whole until others come, and shorter rows are filled up with NaN."""
+        done, end = self._count, self._count + len(values)
+        self._first = self._first if done else values[:1].copy()
+        before, self._count = self.values(), end
+        is_even = before.shape[1] == values.shape[1]
+        if self._rows is None and is_even and before.dtype == values.dtype:
+            alike = np.broadcast_to(self._first, values.shape)
+            # The last row mostly tells that not all are the same.
+            if all(
+                np.array_equal(values[rows], alike[rows], equal_nan=True) for rows in (slice(-1, None), slice(None))
+            ):
+                return
+        width = max(before.shape[1], values.shape[1])
+        dtype = np.result_type(before, values) if is_even else np.dtype(np.float64)
+        if self._rows is None or end > len(self._rows) or (width, dtype) != (before.shape[1], before.dtype):
+            # Component by component, as messages are read and as numpy goes through rows of three the fastest.
+            room = max(end, self._announced if self._rows is None else 2 * done)
+            self._rows = np.empty((room, width), dtype, order="F")
+            _fill(self._rows[:done], before)
+        _fill(self._rows[done:end], values)
+
+    def values(self) -> NDArray[Any]:
+        """Return the rows so far."""
+        if self._rows is None:
+            return np.broadcast_to(self._first, (self._count, self._first.shape[1]))
+        return self._rows[: self._count]
+
+
+def _fill(rows: NDArray[Any], values: NDArray[Any]) -> None:
+    rows[:, : values.shape[1]] = values
+    if values.shape[1] < rows.shape[1]:
+        rows[:, values.shape[1] :] = np.nan
+
+
 class _Builder:
     """Collects the columns of one topic, block by block."""
 
-    def __init__(self, log: Recording, source: Source) -> None:
+    def __init__(self, log: Recording, source: Source, enough: int = sys.maxsize) -> None:
         self.log = log
         self.source = source
         self.where = (str(log.path), source.topic)
-        self.every = max(1, math.ceil(sum(channel.messages for channel in source.channels) / MOST_SAMPLED))
+        announced = sum(channel.messages for channel in source.channels)
+        self.every = max(1, math.ceil(announced / MOST_SAMPLED))
         self.count = 0
         self.others = 0
         self.has_whole_times = False
@@ -161,12 +210,13 @@ class _Builder:
         for quantity, joined in source.fields.items():
             paths += split_paths(joined)
             self.sampled |= set(split_paths(joined)) if quantity in SAMPLED else set()
-        self.parts: dict[str, list[NDArray[Any]]] = {path: [] for path in paths}
+        room = min(announced, enough)
+        self.columns = {path: Column(room // (self.every if path in self.sampled else 1) + 1) for path in paths}
         self.readers = {channel.id: self._reader(channel) for channel in source.channels}
 
     def _reader(self, channel: LogChannel) -> FieldReader:
         with error_context(*self.where):
-            paths = [path for path in self.parts if path not in RECORDER_STAMPS]
+            paths = [path for path in self.columns if path not in RECORDER_STAMPS]
             return open_reader(channel, paths, self.source.element)
 
     def add(self, block: Block) -> None:
@@ -179,7 +229,7 @@ class _Builder:
             if not len(part):
                 continue
             chosen = slice(-self.count % self.every, None, self.every)
-            for path, parts in self.parts.items():
+            for path, column in self.columns.items():
                 values = getattr(part, path)[:, None] if path in RECORDER_STAMPS else fields[path]
                 if path == stamp_path(self.source.stamp) and values.shape[1] == 2:
                     # Seconds and nanoseconds; where they are missing, time 0 is wrong in any log.
@@ -189,7 +239,7 @@ class _Builder:
                         values = np.where(np.abs(values) < 2.0**63, values, 0.0).astype(np.int64)
                 values = values[chosen] if path in self.sampled else values
                 if len(values):
-                    parts.append(compact_rows(values))
+                    column.add(values)
             self.runs.append((part.channel_id, len(part)))
             self.count += len(part)
 
@@ -215,8 +265,7 @@ class _Builder:
         """Return what has been read."""
         if not self.count:
             raise self.fault or self._has_nothing()
-        # The parts are let go one column after another, since those of a long dive are large.
-        columns = {path: joined_rows(self.parts.pop(path)) for path in list(self.parts)}
+        columns = {path: column.values() for path, column in self.columns.items()}
         sampled = {path: columns.pop(path) for path in self.sampled}
         columns, channel_ids, rows = merge_channels(columns, self.runs)
         sampled_rows = np.arange(0, self.count if sampled else 0, self.every)
@@ -251,36 +300,6 @@ class _Builder:
         asked = f"has no transform from {' to '.join(element.texts)}" if element.texts else ""
         hint = f"it has {listed(pairs)}" if pairs else "its messages are empty"
         return LogError(asked or "has transforms of many frames", hint, *self.where)
-
-
-def compact_rows(values: NDArray[Any]) -> NDArray[Any]:
-    """Return rows without the block that they are a part of; where all are the same, as a view of one."""
-    first, last = (values[row, 0] if values.shape[1] else 0 for row in (0, -1))
-    # The last row mostly tells that not all are the same.
-    if first == last or (first != first and last != last):
-        alike = np.broadcast_to(values[:1].copy(), values.shape)
-        if np.array_equal(alike, values, equal_nan=True):
-            return alike
-    return values if values.base is None else values.copy()
-
-
-def joined_rows(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Join the rows of a column; shorter ones are filled up with NaN; where all are the same, one stands for all."""
-    count, widths, dtype = sum(map(len, parts)), {part.shape[1] for part in parts}, np.result_type(*parts)
-    if len(widths) == 1 and all((len(part) == 1 or not part.strides[0]) and part.dtype == dtype for part in parts):
-        rows = np.concatenate([part[:1] for part in parts])
-        alike = np.broadcast_to(rows[:1], rows.shape)
-        if np.array_equal(alike, rows, equal_nan=True):
-            return np.broadcast_to(rows[:1], (count, rows.shape[1]))
-    # Component by component, as messages are read and as numpy goes through rows of three the fastest.
-    rows = np.empty((count, max(widths)), dtype if len(widths) == 1 else np.float64, order="F")
-    done = 0
-    for part in parts:
-        rows[done : done + len(part), : part.shape[1]] = part
-        if part.shape[1] < rows.shape[1]:
-            rows[done : done + len(part), part.shape[1] :] = np.nan
-        done += len(part)
-    return rows
 
 
 def rows_among(some: Rows, rows: Rows, count: int) -> tuple[Rows, Rows]:

@@ -1,19 +1,102 @@
-"""Which topic plays which role: by type where only one topic has a known type, else as the settings say."""
+"""Which topic plays which role: by type where only one topic has a known type, else as the settings say.
+
+The message types that are known by name are in `known_types.toml`, by the groups in which roles look for them.
+"""
 
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import msgspec
 
-from insdvl_replay.core.config import key_of
+from insdvl_replay.core.config import TOPIC_KEYS, key_of
 from insdvl_replay.core.errors import LogError, error_context, listed, nearest
-from insdvl_replay.logs.columns.known_types import LOG_TIME, Fields, KnownType, Types
+from insdvl_replay.core.states import SENSORS
 from insdvl_replay.logs.formats.definitions import full_name
 from insdvl_replay.logs.formats.fields import Element, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
+
+
+class KnownType(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is known of a message type; `known_types.toml` says what each entry means."""
+
+    names: tuple[str, ...] = ()
+    fields: dict[str, str] = {}
+    conventions: dict[str, Any] = {}
+    stamp: str = ""
+    element: tuple[str, ...] = ()
+    about: str = ""
+
+
+Types = Mapping[str, KnownType]  # by name; of two types that a log has, the earlier one is the better source
+LOG_TIME: Final = "log_time"  # the recorder's time of arrival, as a stamp
+_ENTRIES: Final = msgspec.toml.decode(
+    Path(__file__).with_name("known_types.toml").read_text("utf-8"), type=dict[str, list[KnownType]]
+)
+TYPES: Final[dict[str, Types]] = {
+    group: {name: entry for entry in entries for name in entry.names} for group, entries in _ENTRIES.items()
+}
+
+
+def _upper_triangle(path: str, size: int) -> str:
+    """Name the upper triangle of the first rows of a covariance of six: a third of what its messages repeat."""
+    return ", ".join(f"{path}[{6 * row + column}]" for row in range(size) for column in range(row, size))
+
+
+# Of an onboard solution, whose topic is always named, the covariances are read, too.
+_POSE_COV: Final = {"pose_cov": _upper_triangle("pose.covariance", 6)}
+_COVARIANCES: Final = {
+    "nav_msgs/msg/Odometry": {**_POSE_COV, "twist_cov": _upper_triangle("twist.covariance", 3)},
+    "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE_COV,
+}
+TYPES["solution"] = {
+    name: msgspec.structs.replace(entry, fields={**entry.fields, **_COVARIANCES.get(name, {})})
+    for group in ("nav_solution", "odometry", "poses", "fix", "onboard", "extended_fix")
+    for name, entry in TYPES[group].items()
+}
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What a role needs of a topic: a type that is known by name, or the field paths of the settings."""
+
+    quantities: Sequence[str] = ()  # whose paths the settings may name
+    groups: Sequence[str] = ()  # of known types; the first of which the log has a type is taken
+    if_named: Sequence[str] = ()  # groups of types that only a topic may have that the settings name
+    enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
+    together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
+
+
+_POSITION: Final = {"latitude", "longitude"}
+_ANGLES: Final = (_POSITION, {"roll", "pitch", "heading"})
+_MOTION: Final = ({"velocity_n"}, {"velocity_b"}, {"quaternion"}, *_ANGLES)
+_IMU: Final = ("specific_force", "angular_rate")
+_FIXES: Final = ("fix", "extended_fix")
+_SENSOR_GROUPS: Final = {"heading": ("heading", "heading_of_imu"), "position": _FIXES}
+_BY_SENSOR: Final = {
+    name: Needs(
+        sensor.quantities,
+        _SENSOR_GROUPS.get(name, (name,)),
+        [group for group in (f"{name}_if_named",) if group in TYPES],
+        sensor.enough,
+        [sensor.together],
+    )
+    for name, sensor in SENSORS.items()
+}
+_DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid")
+NEEDS: Final = {
+    "imu": Needs(_IMU, ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
+    "dvl": Needs(_DVL, ("dvl_beams", "dvl_velocity"), ["dvl_if_named"], [{"beam_velocity"}, {"velocity"}]),
+    "reference": Needs(TOPIC_KEYS, ("nav_solution", "odometry"), (*_FIXES, "poses"), _MOTION, _ANGLES),
+    "fix": Needs(groups=_FIXES, enough=[_POSITION]),
+    "solution": Needs(TOPIC_KEYS, (), ["solution"], [*_MOTION, _POSITION, {"local_position"}], _ANGLES),
+    "truth": Needs(groups=["truth"], enough=[{"accel_bias", "gyro_bias"}]),
+    "topic": Needs(["values"], enough=[{"values"}]),
+    **_BY_SENSOR,
+}
 
 OWN_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
@@ -50,7 +133,7 @@ class Source:
     topic: str
     type_name: str
     channels: tuple[LogChannel, ...]  # those of the topic that have messages
-    fields: Fields
+    fields: Mapping[str, str]  # path of the field by the quantity that it holds
     stamp: str  # header, log_time, publish_time or a field path
     latency_s: float  # from validity to stamp
     conventions: Mapping[str, Any] = field(default_factory=dict)  # of the type, where the settings leave a key out
@@ -69,19 +152,27 @@ class Source:
 
 @dataclass(frozen=True)
 class TopicRequirement:
-    """What a role needs of a topic: a type that is known by name, or the field paths of the settings."""
+    """What a role needs of a topic, with what its settings say of topic, fields and stamp."""
 
     role: str
-    key: str  # of the settings that names the topic; empty where none does
-    topic: str | None  # that the settings name
-    by_type: Sequence[Types] = ()  # of several groups of types, the first that the log has is taken
-    if_named: Types = field(default_factory=dict)  # types that only a topic may have that the settings name
+    needs: Needs
+    key: str = ""  # of the settings that names the topic; empty where none does
+    topic: str | None = None  # that the settings name
     paths: Mapping[str, str | None] = field(default_factory=dict)  # field paths of the settings by quantity
-    enough: Sequence[AbstractSet[str]] = ()  # the quantities of one of these sets must be there
-    together: Sequence[AbstractSet[str]] = ()  # of each of these sets all must be there or none
     stamp: str | None = None
     latency_s: float = 0.0  # from validity to stamp
     frames: tuple[str, str] | None = None  # parent and child of the transforms that count
+
+    @property
+    def by_type(self) -> list[Types]:
+        """The groups of types that are looked for."""
+        return [TYPES[group] for group in self.needs.groups]
+
+    @property
+    def types(self) -> Types:
+        """All types that the topic may have."""
+        groups = (*self.needs.if_named, *self.needs.groups)
+        return {name: known for group in groups for name, known in TYPES[group].items()}
 
     def source(self, topic: str, channels: Sequence[LogChannel]) -> Source:
         """Make a topic the source of the role."""
@@ -90,7 +181,7 @@ class TopicRequirement:
         type_name, name = channels[0].type_name, type_of(channels[0])
         with error_context(topic):
             paths = channel_paths(channels[0])
-        known = next((types[name] for types in (*self.by_type, self.if_named) if name in types), KnownType())
+        known = self.types.get(name, KnownType())
         # The same type name comes with different fields.
         fields = {
             quantity: path
@@ -99,11 +190,11 @@ class TopicRequirement:
         }
         fields |= {name: path for name, path in self.paths.items() if path}
         given = {quantity.removesuffix(BOW_DOWN) for quantity in fields}
-        for quantities in self.together:
+        for quantities in self.needs.together:
             if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
                 missing = f'{self.role}.{lacking[0]} = "field.path"'
                 raise LogError(f"topic '{topic}' gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
-        if not any(quantities <= fields.keys() for quantities in self.enough):
+        if not any(quantities <= fields.keys() for quantities in self.needs.enough):
             reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
             if known.fields:
                 reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
@@ -124,26 +215,25 @@ class TopicRequirement:
     def how_to_name(self) -> str:
         """State which keys lead to a topic of an unknown type."""
         if not self.paths:
-            return f"known are {', '.join(name for types in (*self.by_type, self.if_named) for name in types)}"
-        ways = sorted(sorted(quantities) for quantities in self.enough)
+            return f"known are {', '.join(self.types)}"
+        ways = sorted(sorted(quantities) for quantities in self.needs.enough)
         joined = " or ".join(" and ".join(f'{self.role}.{name} = "field.path"' for name in way) for way in ways)
         does = "proposes what to set" if self.role in PROPOSED else "lists the topics"
         return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` {does}'
 
 
-def requirement(
-    section: Any, role: str, quantities: Iterable[str], key: str = "topic", **needs: Any
-) -> TopicRequirement:
-    """State what a role needs, with what its settings say of topic, fields and stamp."""
+def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> TopicRequirement:
+    """State what a role of some kind needs; its section of the settings names topic, fields and stamp."""
+    needs = NEEDS[kind or role]
     return TopicRequirement(
         role=role,
+        needs=needs,
         key=f"{role}.{key}",
         topic=getattr(section, key),
-        paths={quantity: getattr(section, quantity) for quantity in quantities},
+        paths={quantity: getattr(section, quantity) for quantity in needs.quantities},
         stamp=section.stamp,
         latency_s=section.latency_s,
         frames=getattr(section, "frames", None) if key == "topic" else None,
-        **needs,
     )
 
 
