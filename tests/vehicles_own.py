@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
-from insdvl_replay.logs.mcap_writer import BASE_LINK, NED, ODOM, components, stamped, write_log
-from insdvl_replay.logs.write import solution
+from insdvl_replay.logs.write import BASE_LINK, NED, ODOM, components, solution, stamped, write_log
 
 ENU_OF_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 FLU_OF_FRD = Rotation.from_euler("x", 180.0, degrees=True)

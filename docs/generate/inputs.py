@@ -76,7 +76,7 @@ PARTS = {
     "sensors": _sensors,
     "others": lambda: markdown_table(
         ("file", "endings", "the step that helps"),
-        [(known.name, _other(known.endings), known.step) for known in OTHER_FORMATS],
+        [(known.name, _other(known.endings), known.step) for known in OTHER_FORMATS if known.endings],
     ),
 }
 

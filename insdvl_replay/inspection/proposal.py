@@ -41,10 +41,16 @@ from insdvl_replay.geometry.frames import MAT_FRD_FLU
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Obstacle
 from insdvl_replay.inspection.probe import Candidate, ProbedTopic, probe_topics, time_paths
-from insdvl_replay.logs.columns.clocks import LARGEST_JITTER_S, clock_notes, stamp_unit
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.reference import decode_reference
-from insdvl_replay.logs.columns.tables import read_sample, read_tables, stamp_path
+from insdvl_replay.logs.columns.tables import (
+    LARGEST_JITTER_S,
+    clock_notes,
+    read_sample,
+    read_tables,
+    stamp_path,
+    stamp_unit,
+)
 from insdvl_replay.logs.columns.topics import PROPOSED, Source
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles

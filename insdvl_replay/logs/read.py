@@ -25,7 +25,6 @@ from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.clocks import clock_notes, stamp_unit
 from insdvl_replay.logs.columns.dvl import decode_dvl
 from insdvl_replay.logs.columns.imu import decode_imu, decode_truth
 from insdvl_replay.logs.columns.reference import (
@@ -34,7 +33,7 @@ from insdvl_replay.logs.columns.reference import (
     read_tum,
 )
 from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor
-from insdvl_replay.logs.columns.tables import Table, read_tables
+from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables, stamp_unit
 from insdvl_replay.logs.columns.topics import (
     NEEDS,
     OWN_TOPIC,

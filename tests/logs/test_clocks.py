@@ -15,7 +15,7 @@ from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.clocks import clock_notes, measure_clock, stamp_unit
+from insdvl_replay.logs.columns.tables import clock_notes, measure_clock, stamp_unit
 from insdvl_replay.logs.formats.definitions import definition_text
 
 START_NS = 1_700_000_000_000_000_000

@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs.formats.definitions import parse_definitions
-from insdvl_replay.logs.formats.layout import layout_for_texts, message_layout
+from insdvl_replay.logs.formats.fields import layout_for_texts, message_layout
 
 TYPE = "pkg/msg/Everything"
 TEXT = """\

@@ -27,8 +27,7 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD
 from insdvl_replay.core.tables import ConsistencyRow, ImprovementRow, Tables
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.formats.definitions import definition_text
-from insdvl_replay.logs.mcap_writer import Batch, stamp, write_log
-from insdvl_replay.logs.write import ANGLE_DIGITS, VELOCITY_DIGITS, write_dive, write_replay
+from insdvl_replay.logs.write import ANGLE_DIGITS, VELOCITY_DIGITS, Batch, stamp, write_dive, write_log, write_replay
 
 START_NS = 1_654_675_200_123_456_789
 S = 1_000_000_000

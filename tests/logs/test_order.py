@@ -11,7 +11,7 @@ from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, TimeNs
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.logs import read_dive
-from insdvl_replay.logs.columns.clocks import FEW_PLACES, find_order
+from insdvl_replay.logs.columns.tables import FEW_PLACES, find_order
 from insdvl_replay.logs.formats.definitions import definition_text
 
 START_NS = 1_700_000_000_000_000_000

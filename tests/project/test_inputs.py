@@ -42,7 +42,7 @@ def test_lines_for_arrays_write_a_log(tmp_path: Path) -> None:
 
 
 TLOG = (1_700_000_000_000_000).to_bytes(8, "big") + b"\xfd\x1c\x00\x00" + bytes(40)
-FILES = [(known, start + bytes(60)) for known in OTHER_FORMATS for start in known.starts] + [
+FILES = [(known, bytes.fromhex(start) + bytes(60)) for known in OTHER_FORMATS for start in known.starts] + [
     (known, TLOG if ".tlog" in known.endings else b"time,ax,ay\n" * 9) for known in OTHER_FORMATS if not known.starts
 ]
 
@@ -57,7 +57,7 @@ def test_file_that_is_not_read_is_told_by_its_bytes_with_the_step_that_helps(
     with pytest.raises(LogError) as raised:
         read_dive(tmp_path / name, Config())
     assert f" {known.name}, " in raised.value.message
-    assert raised.value.hint == known.step
+    assert raised.value.hint == known.step.format(path=tmp_path / name)
 
 
 @pytest.mark.parametrize("command", ["run", "inspect"])

@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Scalar, TimeNs, is_new, nanoseconds, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.words import Severity
-from insdvl_replay.logs.columns.clocks import SAME_CLOCK_S, Mask, Rows, find_order
-from insdvl_replay.logs.columns.tables import RECORDER_STAMPS, Table, repeated_rows
+from insdvl_replay.logs.columns.tables import (
+    RECORDER_STAMPS,
+    SAME_CLOCK_S,
+    Mask,
+    Rows,
+    Table,
+    find_order,
+    repeated_rows,
+)
 
 
 def is_few(count: int, size: int) -> bool:

@@ -17,9 +17,8 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import frames
 from insdvl_replay.geometry.rotation import mat_from_quat
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
-from insdvl_replay.logs.columns.clocks import Mask
 from insdvl_replay.logs.columns.imu import FRD, in_frd
-from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.tables import Mask, Table
 
 _MOVING_MPS: Final = 0.05
 _SPEEDS, _AXES = "velocities along the beams", "axes of the beams"  # columns that no message holds as such

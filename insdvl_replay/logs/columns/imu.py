@@ -15,8 +15,7 @@ from insdvl_replay.core.errors import ConfigError, Note
 from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_gaps, note_lost_samples
-from insdvl_replay.logs.columns.clocks import Mask
-from insdvl_replay.logs.columns.tables import Table
+from insdvl_replay.logs.columns.tables import Mask, Table
 
 FRD: Final = "frd"  # the project's axes, which are assumed where nothing tells them
 _NAMED_AXES: Final = {FRD: "+x+y+z", "flu": "+x-y-z"}

@@ -8,7 +8,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
+
+import msgspec
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
@@ -264,61 +266,24 @@ def _unquoted(name: str) -> str:
 # --- Files of other formats: what they are, by their first bytes, and the step that makes a log of them.
 
 
-class OtherFormat(NamedTuple):
-    """A format that is not read."""
+class OtherFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A format that is not read; `other_formats.toml` says what each entry means."""
 
-    name: str  # for a sentence that begins with "is"
-    starts: tuple[bytes, ...]  # each file begins with one of these; none where the ending of its name is all that tells
-    endings: tuple[str, ...]  # of its name
-    step: str  # what helps
+    name: str
+    starts: tuple[str, ...]
+    endings: tuple[str, ...]
+    step: str
 
 
-_ARRAYS: Final = "`insdvl_replay.logs.write_dive` writes a log of arrays; docs/inputs.md has the lines"
-_DRIVER: Final = "record the messages of a driver beside it, or write its velocities as geometry_msgs/TwistStamped"
-_UNPACK: Final = "unpack it, and name what was in it"
-_TLOG: Final = (
-    "its IMU is too slow to replay; take the vehicle's .BIN (LOG_REPLAY=1), of which clydemcqueen/dive_to_bag "
-    "writes a bag, with the DVL of this file"
-)
-_BIN: Final = (
-    "with LOG_REPLAY=1 it has the exact inputs of the filter on board; clydemcqueen/dive_to_bag writes a bag of it"
-)
-_BIN_TEXT: Final = "take the .BIN that it was made of; clydemcqueen/dive_to_bag writes a bag of that"
-_ULOG: Final = "`ulog2rosbag` of pyulog writes a bag with px4_msgs, which are known"
-
-# The first that fits is meant; the endings of names count where no first bytes fit. Sources: ArduPilot's AP_Logger
-# (LogStructure.h), PX4's ULog file format, Teledyne's PD0, PD4 and PD6 output, Nortek's integrator's guides, MAVLink's
-# telemetry logs, and the formats' own specifications.
-OTHER_FORMATS: Final = (
-    OtherFormat("a log of ArduPilot (.BIN)", (b"\xa3\x95\x80",), (".bin",), _BIN),
-    OtherFormat("a log of ArduPilot as text", (b"FMT, ",), (".log",), _BIN_TEXT),
-    OtherFormat("a log of PX4 (ULog)", (b"ULog\x01\x12\x35",), (".ulg",), _ULOG),
-    OtherFormat("a telemetry log of MAVLink (.tlog)", (), (".tlog",), _TLOG),
-    OtherFormat("output of a Teledyne DVL or ADCP (PD0)", (b"\x7f\x7f",), (".pd0",), _DRIVER),
-    OtherFormat("output of a Teledyne DVL (PD4 or PD5)", (b"\x7d\x00", b"\x7d\x01"), (".pd4", ".pd5"), _DRIVER),
-    OtherFormat("output of a Teledyne DVL (PD6)", (b":SA,", b":TS,", b":BI,", b":BS,"), (".pd6",), _DRIVER),
-    OtherFormat("output of a Nortek instrument (AD2CP, or a Nucleus)", (b"\xa5\x0a",), (".ad2cp", ".nucleus"), _DRIVER),
-    OtherFormat("sentences of NMEA", (b"$P", b"$G"), (".nmea",), _DRIVER),
-    OtherFormat("a log of LCM", (b"\xed\xa1\xda\x01",), (".lcm", ".lcmlog"), _ARRAYS),
-    OtherFormat("a log of DUNE (IMC)", (b"\x54\xfe", b"\xfe\x54"), (".lsf",), _ARRAYS),
-    OtherFormat("a file of HDF5", (b"\x89HDF\r\n\x1a\n",), (".h5", ".hdf5"), _ARRAYS),
-    OtherFormat("a file of MATLAB", (b"MATLAB ",), (".mat",), _ARRAYS),
-    OtherFormat("JSON, as Water Linked's DVLs send it", (b'{"',), (".json", ".jsonl"), _ARRAYS),
-    OtherFormat("compressed with gzip", (b"\x1f\x8b",), (".gz", ".tgz"), _UNPACK),
-    OtherFormat("compressed with lz4", (b"\x04\x22\x4d\x18",), (".lz4",), _UNPACK),
-    OtherFormat("an archive of zip", (b"PK\x03\x04",), (".zip",), _UNPACK),
-    OtherFormat("a table as text", (), (".csv", ".tsv", ".txt", ".dat"), _ARRAYS),
-)
-_NEAR_FORMATS: Final = (
-    OtherFormat("a bag of ROS 1 before 2010", (b"#ROSBAG V1",), (), "`rosbag fix` writes it as version 2.0"),
-    OtherFormat("compressed as a whole with zstd", (b"\x28\xb5\x2f\xfd",), (), "`zstd -d {path}` unpacks it"),
-)
+OTHER_FORMATS: Final = msgspec.toml.decode(
+    Path(__file__).with_name("other_formats.toml").read_text("utf-8"), type=dict[str, list[OtherFormat]]
+)["format"]
 
 
 def other_format(path: Path, start: bytes) -> OtherFormat | None:
     """Return the format of a file by its first 16 bytes, else by the ending of its name."""
-    for known in (*OTHER_FORMATS, *_NEAR_FORMATS):
-        if any(start.startswith(magic) for magic in known.starts):
+    for known in OTHER_FORMATS:
+        if start.startswith(tuple(map(bytes.fromhex, known.starts))):
             return known
     # MAVLink: each message is behind its time in microseconds, from 2001 to 2096, the larger bytes first.
     if len(start) > 8 and start[8] in (0xFD, 0xFE) and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15:
