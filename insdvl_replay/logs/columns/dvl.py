@@ -4,6 +4,7 @@ Beams point from the instrument to the seabed: as the settings say, as the messa
 those of most DVLs. The velocity along a beam is that of the vehicle over ground.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
@@ -20,6 +21,7 @@ from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.tables import Mask, Table
 
+Rule = tuple[str, Callable[[Floats], Mask], str, str]
 _MOVING_MPS: Final = 0.05
 _SPEEDS, _AXES = "velocities along the beams", "axes of the beams"  # columns that no message holds as such
 _VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
@@ -27,39 +29,37 @@ _BEAM_HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the ins
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
-    """Make the columns of the DVL."""
+    """Make the columns of the DVL, of its beams where there are any, unless the settings say otherwise."""
     settings = table.source.completed(settings)
     table = _with_beam_speeds(table, settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
-    cleaner.keep_where("mode", lambda mode: mode != 2, "water_track", "pings are water track")
-    cleaner.keep_where("water_track", lambda flag: flag == 0.0, "water_track", "pings are water track")
-    lost = "pings say by their status or altitude that the bottom was lost"
-    cleaner.keep_where("status", lambda status: ~(status < 0.0), "lost", lost)
-    decode = _decode_beams if _reads_beams(table, settings, cleaner) else _decode_velocities
-    return decode(table, settings, cleaner), cleaner.notes
-
-
-def _reads_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> bool:
-    """Decide between beams and velocities; beams where there are any, unless the settings say otherwise."""
-    kind = settings.kind
-    if kind is not None:
-        quantity = "beam_velocity" if kind == "beams" else "velocity"
+    for rule in _BOTTOM_TRACK:
+        cleaner.keep_where(*rule)
+    beams = _beam_velocity(table) if "beam_velocity" in table else np.full((len(table), 0), np.nan)
+    has_beams = np.asarray(~np.isnan(beams).all(axis=1))
+    if "beams_valid" in table:
+        has_beams &= table.column("beams_valid") != 0.0
+    is_beams = "beam_velocity" in table
+    if settings.kind is not None:
+        is_beams, quantity = settings.kind == "beams", "beam_velocity" if settings.kind == "beams" else "velocity"
         if quantity not in table:
-            text = f"type {table.source.type_name} has no {quantity}, and dvl.kind is '{kind}'"
+            text = f"type {table.source.type_name} has no {quantity}, and dvl.kind is '{settings.kind}'"
             raise LogError(text, f'dvl.{quantity} = "field.path" names it', *table.where)
-        return kind == "beams"
-    if "beam_velocity" not in table or "velocity" not in table:
-        return "beam_velocity" in table
-    if bool((_has_beams(table) & np.any(np.nan_to_num(_beam_velocity(table)) != 0.0, axis=1)).any()):
-        return True
-    cleaner.note("no_beams", "pings, all there are, have no valid beam with a velocity; theirs are used", len(table))
-    return False
+    elif is_beams and "velocity" in table and not np.nan_to_num(beams[has_beams]).any():
+        is_beams = False
+        cleaner.note(
+            "no_beams", "pings, all there are, have no valid beam with a velocity; theirs are used", len(table)
+        )
+    if is_beams:
+        return _decode_beams(table, settings, cleaner, beams, has_beams), cleaner.notes
+    return _decode_velocities(table, settings, cleaner), cleaner.notes
 
 
 def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColumns:
     velocity_d = _without_impossible(_velocity_d(table, settings), cleaner)
-    _keep_valid(cleaner)
+    for rule in _VALID:
+        cleaner.keep_where(*rule)
     # Of the instrument.
     cleaner.keep_where("coordinates", lambda kind: kind == 1, "coordinates", "pings are in other coordinates")
     if "good_beams" in table and table.column("good_beams").any():
@@ -71,14 +71,15 @@ def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColu
     return DvlColumns(cleaner.times, None, vectors_d if in_space else None, cleaner.kept(velocity_d), look_d)
 
 
-def _decode_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColumns:
+def _decode_beams(table: Table, settings: Dvl, cleaner: Cleaner, beams: Floats, has_beams: Mask) -> DvlColumns:
     unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    beam_velocity_mps = _without_impossible(_without_none(_beam_velocity(table), unit) * unit, cleaner)
+    beam_velocity_mps = _without_impossible(_without_none(beams, unit) * unit, cleaner)
     # Along the beams.
     cleaner.keep_where("coordinates", lambda kind: kind == 0, "coordinates", "pings are in other coordinates")
     if "beam_valid" not in table and "nortek_status" not in table:
-        _keep_valid(cleaner)
-    cleaner.keep(_has_beams(table), "invalid", "pings have no valid beam")
+        for rule in _VALID:
+            cleaner.keep_where(*rule)
+    cleaner.keep(has_beams, "invalid", "pings have no valid beam")
     _drop_repeats(cleaner, beam_velocity_mps)
     vectors_d, look_d = _beam_vectors(table, settings, cleaner, used=True)
     if len(vectors_d) != beam_velocity_mps.shape[1]:
@@ -94,26 +95,26 @@ def _decode_beams(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColumns:
     return DvlColumns(cleaner.times, finite, vectors_d, look_d=look_d)
 
 
-def _keep_valid(cleaner: Cleaner) -> None:
-    cleaner.keep_where("valid", lambda flags: flags > 0.0, "invalid", "pings are marked as invalid")
-    reason = "pings have a negative variance, as invalid ones"
-    cleaner.keep_where("velocity_var", lambda variance: ~(variance < 0.0), "invalid", reason)
-    reason = "pings are invalid by the bits of their status"
-    cleaner.keep_where("nortek_status", lambda status: _are_set(status, (12, 13, 14)), "invalid", reason)
-
-
 def _are_set(status: Floats, bits: tuple[int, ...]) -> Mask:
     """Find which bits are set in Nortek's status, (k, 1); none where it is no whole number of 32 bits."""
     whole = np.where((status >= 0.0) & (status < 2.0**32), status, 0.0).astype(np.int64)
     return np.asarray((whole >> np.array(bits)) & 1 == 1)
 
 
-def _has_beams(table: Table) -> Mask:
-    """Find which pings have a beam that counts."""
-    lost = np.isnan(_beam_velocity(table)).all(axis=1)
-    if "beams_valid" in table:
-        lost |= table.column("beams_valid") == 0.0
-    return np.asarray(~lost)
+_LOST: Final = "pings say by their status or altitude that the bottom was lost"
+_NEGATIVE: Final = "pings have a negative variance, as invalid ones"
+_BY_BITS: Final = "pings are invalid by the bits of their status"
+# Rules of validity: a quantity that a topic may hold, which of its numbers are good, and what the other pings are.
+_BOTTOM_TRACK: Final[tuple[Rule, ...]] = (
+    ("mode", lambda mode: mode != 2, "water_track", "pings are water track"),
+    ("water_track", lambda flag: flag == 0.0, "water_track", "pings are water track"),
+    ("status", lambda status: ~(status < 0.0), "lost", _LOST),
+)
+_VALID: Final[tuple[Rule, ...]] = (
+    ("valid", lambda flags: flags > 0.0, "invalid", "pings are marked as invalid"),
+    ("velocity_var", lambda variance: ~(variance < 0.0), "invalid", _NEGATIVE),
+    ("nortek_status", lambda status: _are_set(status, (12, 13, 14)), "invalid", _BY_BITS),
+)
 
 
 def _velocity_d(table: Table, settings: Dvl) -> Floats:
@@ -204,10 +205,10 @@ def _with_beam_speeds(table: Table, settings: Dvl) -> Table:
     down = in_frd(vectors.reshape(-1, 3), settings.axes or FRD, "dvl.axes")[:, 2].reshape(sizes.shape)
     axes = np.empty((vectors.shape[1], 3))
     for beam, axis in enumerate(axes):
-        told = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
-        if not told.any():
+        moves = (sizes[:, beam] > _MOVING_MPS) & (down[:, beam] != 0.0)
+        if not moves.any():
             return table
-        pointing = vectors[told, beam] * (np.sign(down[told, beam]) / sizes[told, beam])[:, None]
+        pointing = vectors[moves, beam] * (np.sign(down[moves, beam]) / sizes[moves, beam])[:, None]
         axis[:] = np.median(pointing, axis=0)
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     columns = {
@@ -223,23 +224,23 @@ def _limited(values: Floats) -> Floats:
     return np.where(np.abs(values) <= 1000.0, values, np.nan)
 
 
-def _told_vectors(table: Table, cleaner: Cleaner) -> Floats:
+def _reported_vectors(table: Table, cleaner: Cleaner) -> Floats:
     """Return the directions that the messages tell in the log's axes, shape (beams, 3)."""
     quantity, width = ("beam_vectors", 3) if "beam_vectors" in table else ("beam_quaternions", 4)
-    told = _limited(cleaner.kept(table.values(quantity)))
-    if told.shape[1] % width:
+    reported = _limited(cleaner.kept(table.values(quantity)))
+    if reported.shape[1] % width:
         field = table.source.fields[quantity]
-        text = f"field '{field}' holds {told.shape[1]} numbers, which are not {width} for a beam"
+        text = f"field '{field}' holds {reported.shape[1]} numbers, which are not {width} for a beam"
         raise LogError(text, _BEAM_HINT, *table.where)
-    told = told.reshape(len(told), -1, width)
+    reported = reported.reshape(len(reported), -1, width)
     if quantity == "beam_quaternions":
         # The UUV Simulator writes the axis of the turn whole, beside w: a quaternion whose vector part has length 1
         # can only be half a turn, with a w of 0.
-        axis, w = told[..., :3], told[..., 3:]
+        axis, w = reported[..., :3], reported[..., 3:]
         whole = (np.abs(np.linalg.norm(axis, axis=-1, keepdims=True) - 1.0) < 1e-6) & (np.abs(w) <= 1.0)
         sines = np.sqrt(np.clip(1.0 - w * w, 0.0, 1.0))
-        told = mat_from_quat(np.concatenate([np.where(whole, axis * sines, axis), w], axis=-1))[..., 0]
-    return np.asarray(np.median(told, axis=0))
+        reported = mat_from_quat(np.concatenate([np.where(whole, axis * sines, axis), w], axis=-1))[..., 0]
+    return np.asarray(np.median(reported, axis=0))
 
 
 def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner, *, used: bool) -> tuple[Floats, Floats | None]:
@@ -254,25 +255,25 @@ def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner, *, used: bool) 
     )
     if not ("beam_vectors" in table or "beam_quaternions" in table) or (used and configured):
         return vectors_d, None
-    told = _told_vectors(table, cleaner)
-    if doubt := _doubt(told, table, cleaner) if used or len(told) else "there are none":
+    reported = _reported_vectors(table, cleaner)
+    if fault := _vector_fault(reported, table, cleaner) if used or len(reported) else "there are none":
         if used:
             azimuths = ", ".join(f"{azimuth:g}" for azimuth in frames.AZIMUTH_DEG)
             text = (
-                f"pings have beam vectors that cannot be true ({doubt}); a tilt of {frames.TILT_DEG:g} deg and "
+                f"pings have beam vectors that cannot be true ({fault}); a tilt of {frames.TILT_DEG:g} deg and "
                 f"azimuths of {azimuths} deg are assumed"
             )
             cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
         return vectors_d, None
-    told = told / np.linalg.norm(told, axis=1, keepdims=True) if used else told
-    told = in_frd(told, settings.axes or FRD, "dvl.axes")
-    look: Floats | None = told.mean(axis=0) if used or "beam_quaternions" in table else None
+    reported = reported / np.linalg.norm(reported, axis=1, keepdims=True) if used else reported
+    reported = in_frd(reported, settings.axes or FRD, "dvl.axes")
+    look: Floats | None = reported.mean(axis=0) if used or "beam_quaternions" in table else None
     if look is not None and not frames.look_down(look):
         along = "({:.2f}, {:.2f}, {:.2f})".format(*look)
         text = f"pings have beams that do not look down but along {along} in the axes in use"
         hint = 'dvl.axes says which of its axes look forward, starboard and down, as "flu" or "+z-y+x"'
         cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
-    return vectors_d if configured else told, look
+    return vectors_d if configured else reported, look
 
 
 def _note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: Floats, velocity_d: Floats) -> None:
@@ -289,7 +290,7 @@ def _note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: 
         cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
 
 
-def _doubt(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
+def _vector_fault(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
     """State what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
     lengths = np.linalg.norm(vectors, axis=1)
     if not np.all(np.abs(lengths - 1.0) < 0.01):

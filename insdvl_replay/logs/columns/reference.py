@@ -78,7 +78,7 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     position = _position(table, settings, initial)
-    told = None if position is None else position.copy()
+    reported = None if position is None else position.copy()
     if position is not None:
         # A few positions beyond the poles are dropped; where they are many, the angles are something else.
         possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
@@ -103,8 +103,8 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     mat_nb = attitude(table, settings)
     velocity_n = _velocity_n(table, settings, mat_nb)
     for quantity, values in (
-        ("positions", None if told is None else told[:, :2]),
-        ("heights", None if told is None else told[:, 2:]),
+        ("positions", None if reported is None else reported[:, :2]),
+        ("heights", None if reported is None else reported[:, 2:]),
         ("velocities", velocity_n),
         ("attitudes", None if mat_nb is None else mat_nb.reshape(-1, 9)),
     ):
@@ -137,8 +137,8 @@ def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | 
     if initial.latitude_deg is not None:
         origin[:] = initial.latitude_deg, initial.longitude_deg, initial.height_m
     if "origin" in table:
-        told = table.column("origin_valid") > 0.0 if "origin_valid" in table else np.ones(len(table), np.bool_)
-        origin = np.where(told[:, None], table.values("origin", 3), origin)
+        is_given = table.column("origin_valid") > 0.0 if "origin_valid" in table else np.ones(len(table), np.bool_)
+        origin = np.where(is_given[:, None], table.values("origin", 3), origin)
     if np.isnan(origin).all():
         return None
     latitude, longitude, height_m = origin[:, 0] * DEG, origin[:, 1] * DEG, origin[:, 2]
@@ -226,11 +226,11 @@ def union(parts: Sequence[Part]) -> ReferenceColumns:
     shapes = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
     if len(parts) == 1:
         count, values = len(parts[0].time_ns), {name: getattr(parts[0], name) for name in shapes}
-        told = {
+        columns = {
             name: nothing((count, *shapes[name])) if column is None else np.ascontiguousarray(column)
             for name, column in values.items()
         }
-        return ReferenceColumns(parts[0].time_ns, **told)
+        return ReferenceColumns(parts[0].time_ns, **columns)
     time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
     columns = {name: np.full((time_ns.size, *shape), np.nan) for name, shape in shapes.items()}
     for part in parts:
@@ -279,13 +279,13 @@ def _covariances(table: Table, settings: Solution, part: Part, order: TimeNs, ro
     ned_frd = settings.axes == "ned_frd"
     turn_n, turn_b = (np.eye(3), np.eye(3)) if ned_frd else (MAT_ENU_NED, MAT_FRD_FLU)
     if "pose_cov" in table:
-        pose, wrong = _believable(table.values("pose_cov", 21)[order], 6)
+        pose, wrong = _valid_covariances(table.values("pose_cov", 21)[order], 6)
         blocks = ((DP, slice(0, 3)), (PHI, slice(3, 6)))
         for row, pose_row in blocks:
             for column, pose_column in blocks:
                 cov[:, row, column] = turn_n @ pose[:, pose_row, pose_column] @ turn_n.T
     if "twist_cov" in table and part.velocity_n is not None:
-        twist, more = _believable(table.values("twist_cov", 6)[order], 3)
+        twist, more = _valid_covariances(table.values("twist_cov", 6)[order], 3)
         wrong += more
         in_body = "velocity_b" in table and settings.velocity_n is None
         if in_body and part.mat_nb is not None:
@@ -300,7 +300,7 @@ def _covariances(table: Table, settings: Solution, part: Part, order: TimeNs, ro
     return cov, wrong
 
 
-def _believable(upper: Floats, size: int) -> tuple[Floats, int]:
+def _valid_covariances(upper: Floats, size: int) -> tuple[Floats, int]:
     """Make covariances of upper triangles, NaN in the blocks of three that are not given; count what is none.
 
     A variance of 0 or less, such as the -1 in front of a matrix that stands for none, says nothing.
@@ -312,14 +312,14 @@ def _believable(upper: Floats, size: int) -> tuple[Floats, int]:
     given = np.asarray(((variances > 0.0) & np.isfinite(variances)).reshape(len(cov), -1, 3).all(axis=2))
     given[cov[:, 0, 0] == -1.0] = False
     rows = np.repeat(given, 3, axis=1)
-    told = np.where(rows[:, :, None] & rows[:, None, :], cov, 0.0)
+    given_cov = np.where(rows[:, :, None] & rows[:, None, :], cov, 0.0)
     # What is not given stands for itself alone, so that it does not hide the rest.
-    told[:, np.arange(size), np.arange(size)] += ~rows
-    wrong = np.asarray(~(np.abs(told) < _LARGEST).all(axis=(1, 2)))
+    given_cov[:, np.arange(size), np.arange(size)] += ~rows
+    wrong = np.asarray(~(np.abs(given_cov) < _LARGEST).all(axis=(1, 2)))
     possible = np.flatnonzero(~wrong)
-    wrong[possible] = np.linalg.eigvalsh(told[possible])[:, 0] <= 0.0
+    wrong[possible] = np.linalg.eigvalsh(given_cov[possible])[:, 0] <= 0.0
     rows[wrong] = False
-    return np.where(rows[:, :, None] & rows[:, None, :], told, np.nan), int(np.count_nonzero(wrong))
+    return np.where(rows[:, :, None] & rows[:, None, :], given_cov, np.nan), int(np.count_nonzero(wrong))
 
 
 def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns, list[Note]]:

@@ -144,9 +144,9 @@ def _inside(shape: Shape, steps: Sequence[tuple[str, slice]], access: Access) ->
         name, chosen = steps[0]
         return _field(name, shape.fields[name], chosen, steps[1:], access)
     inner = shape.fields.values()
-    if len(inner) > 1 and all(one.kind == NUMBER and not one.is_list and not one.may_be_absent for one in inner):
+    if len(inner) > 1 and all(part.kind == NUMBER and not part.is_list and not part.may_be_absent for part in inner):
         return attrgetter(*shape.fields)  # of protobuf, where attributes are never absent: a vector is read at once
-    parts = [_field(name, one, slice(None), (), access) for name, one in shape.fields.items() if one.kind != TEXT]
+    parts = [_field(name, part, slice(None), (), access) for name, part in shape.fields.items() if part.kind != TEXT]
     return lambda value: [number for part in parts for number in part(value)]
 
 
@@ -213,18 +213,18 @@ def _protobuf_shape(descriptor: Any, above: tuple[str, ...], numbers: Iterator[i
     if len(above) > MOST_LEVELS:
         raise too_large(above[0])
     fields = {}
-    for one in descriptor.fields:
-        inner = one.message_type
+    for member in descriptor.fields:
+        inner = member.message_type
         if inner is not None and (inner.full_name in above or inner.GetOptions().map_entry):
             continue
         if next(numbers) == MOST_PATHS:
             raise too_large(above[0])
-        primitive = TEXT if one.cpp_type == one.CPPTYPE_STRING else NUMBER
-        fields[one.name] = Shape(
+        primitive = TEXT if member.cpp_type == member.CPPTYPE_STRING else NUMBER
+        fields[member.name] = Shape(
             kind=inner.full_name if inner else primitive,
             fields=_protobuf_shape(inner, above, numbers).fields if inner else {},
-            is_list=one.is_repeated,
-            may_be_absent=one.has_presence and not one.has_default_value,
+            is_list=member.is_repeated,
+            may_be_absent=member.has_presence and not member.has_default_value,
         )
     return Shape(descriptor.full_name, fields)
 

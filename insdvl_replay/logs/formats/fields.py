@@ -178,7 +178,7 @@ class Layout:
 
 def layout_for_texts(definitions: Definitions, type_name: str, texts: Mapping[str, bytes]) -> Layout:
     """Lay out a message in CDR that has to hold the given strings, and no sequences."""
-    return _laid_out(definitions, type_name, lambda path, _: len(texts.get(path, b"")) + 1)
+    return _layout_of(definitions, type_name, lambda path, _: len(texts.get(path, b"")) + 1)
 
 
 def message_layout(
@@ -195,10 +195,10 @@ def message_layout(
     def length_at(_: str, offset: int) -> int:
         return int.from_bytes(data[offset : offset + 4], "little")
 
-    return _laid_out(definitions, type_name, length_at, is_cdr=is_cdr, room=len(data))
+    return _layout_of(definitions, type_name, length_at, is_cdr=is_cdr, room=len(data))
 
 
-def _laid_out(
+def _layout_of(
     definitions: Definitions,
     type_name: str,
     length_at: Callable[[str, int], int],  # of the string or sequence at a path, whose length word is at an offset
@@ -313,8 +313,8 @@ class _Plan:
         known = dict(layout.dtype.fields or {})
         if element is not None:
             names = ([f"{element.list_name}[{i}].{name}" for name in element.fields] for i in count())
-            for one in takewhile(lambda names: names[0] in known, names):
-                self.texts.append([take((np.uint8, (known[name][0].itemsize,)), known[name][1]) for name in one])
+            for texts in takewhile(lambda texts: texts[0] in known, names):
+                self.texts.append([take((np.uint8, (known[name][0].itemsize,)), known[name][1]) for name in texts])
         size = max((np.dtype(one).itemsize + offset for one, offset in zip(formats, offsets, strict=True)), default=0)
         columns: Any = {"names": [*map(str, range(len(formats)))], "formats": formats, "offsets": offsets}
         self.dtype: np.dtype[Any] = np.dtype(columns | {"itemsize": size})
@@ -466,8 +466,8 @@ class BinaryReader:
                 for row in np.unique(np.concatenate(texts, axis=1), axis=0)[:_MOST_SEEN]:
                     parts = np.split(row, np.cumsum([text.shape[1] for text in texts])[:-1])
                     if len(self.seen) < _MOST_SEEN:
-                        told = (part.tobytes().removesuffix(end).decode("utf-8", "replace") for part in parts)
-                        self.seen[tuple(told)] = None
+                        decoded = (part.tobytes().removesuffix(end).decode("utf-8", "replace") for part in parts)
+                        self.seen[tuple(decoded)] = None
         self._is_found |= bool(wanted.any())
         return wanted
 

@@ -520,7 +520,7 @@ class ChunkedFile(LogFile):
         for chunk in list(self._chunks):
             found = self._listed(chunk)
             for channel, log_ns, *_ in (
-                [found] if found is not None else [one.messages for one in self._contents([chunk])]
+                [found] if found is not None else [content.messages for content in self._contents([chunk])]
             ):
                 yield chunk, {id_: log_ns[channel == id_] for id_ in np.unique(channel).tolist()}
 
@@ -575,11 +575,11 @@ class ChunkedFile(LogFile):
             announced[topics.get(channel_id, "unknown channels")] += count
         lost = (announced - found if is_exact else announced).most_common()
         least = "" if is_exact else "at least "
-        told = [f"{least}{count} messages of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost]
+        lost_by_topic = [f"{least}{count} messages of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost]
         size = sum(end - start for start, end in bad)
-        if not told and (is_exact or not (size or is_open)):
-            told = ["no messages"]
+        if not lost_by_topic and (is_exact or not (size or is_open)):
+            lost_by_topic = ["no messages"]
         longest_s = max(gap_ns.values(), default=0) * 1e-9
-        what = listed(told, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
+        what = listed(lost_by_topic, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
         damaged = f", {size} bytes are damaged" if size else ""
         return f"{what} are lost{damaged}{'; nothing tells how long the recording went on' if is_open else ''}"

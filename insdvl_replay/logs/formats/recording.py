@@ -52,7 +52,7 @@ class Recording:
     """One or several files, open for reading as one log.
 
     A damaged file is refused with the place and what could be saved. Where damage is allowed, it is read as far as its
-    bytes can be believed, and files of which nothing can be used are done without.
+    bytes can be used, and files of which nothing can be used are done without.
     """
 
     def __init__(self, path: Path, files: Collection[Path], *, allow_damaged: bool = False) -> None:
@@ -171,7 +171,7 @@ class Recording:
 def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) -> Recording:
     """Open a log, the folder of a bag, or several of them as one; their order does not matter.
 
-    Damaged files are refused, or read as far as they can be believed.
+    Damaged files are refused, or read as far as they can be used.
     """
     given = (path,) if isinstance(path, Path) else tuple(path)
     for name in map(str, given):
@@ -210,7 +210,7 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
         # A part that the list has as it was packed may be there as the user has unpacked it.
         listed = [path / name for name in _listed(metadata, by_name)]
         plain = [part.with_suffix("") if part.suffix == _PACKED else part for part in listed]
-        parts = tuple(one if _is_file(one) else part for part, one in zip(listed, plain, strict=True))
+        parts = tuple(unpacked if _is_file(unpacked) else part for part, unpacked in zip(listed, plain, strict=True))
         for part in parts:
             if not _is_file(part):
                 hint = f"copy the whole bag, or read the parts that are there: {by_name}"
@@ -289,4 +289,4 @@ def other_format(path: Path, start: bytes) -> OtherFormat | None:
     if len(start) > 8 and start[8] in (0xFD, 0xFE) and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15:
         return next(known for known in OTHER_FORMATS if ".tlog" in known.endings)
     # An ending that belongs to bytes which are not there tells nothing.
-    return next((one for one in OTHER_FORMATS if not one.starts and path.suffix.lower() in one.endings), None)
+    return next((known for known in OTHER_FORMATS if not known.starts and path.suffix.lower() in known.endings), None)

@@ -82,7 +82,7 @@ class BagFile(ChunkedFile):
         self.chunk_count = len(self._chunks)
         self.compression = tuple(sorted({chunk.compression or "none" for chunk in self._chunks}))
         counts = self._counts()
-        self.channels = tuple(replace(one, messages=counts[one.id]) for one in self._connections.values())
+        self.channels = tuple(replace(channel, messages=counts[channel.id]) for channel in self._connections.values())
 
     @property
     def notes(self) -> tuple[Note, ...]:
@@ -144,17 +144,17 @@ class BagFile(ChunkedFile):
 
     def _take_connection(self, record: _Record, data: memoryview) -> None:
         """Make a channel of a connection; the same is in its chunk and at the end of the bag."""
-        told = _Record(_fields(data, record.offset), record.offset, 0, 0)
+        described = _Record(_fields(data, record.offset), record.offset, 0, 0)
         number = record.number(b"conn", 4)
         channel = LogChannel(
             id=self._connections[number].id if number in self._connections else len(self._connections),
             topic=record.text(b"topic"),
-            type_name=told.text(b"type"),
+            type_name=described.text(b"type"),
             encoding="ros1",
             schema_encoding="ros1msg",
             messages=0,
-            schema_data=told.fields.get(b"message_definition", b""),
-            metadata={name: told.text(name.encode()) for name in ("md5sum", "callerid")},
+            schema_data=described.fields.get(b"message_definition", b""),
+            metadata={name: described.text(name.encode()) for name in ("md5sum", "callerid")},
         )
         if channel.id >= _MOST_CHANNELS:
             raise LogError("has more than 65536 connections", "no vehicle records so many", self.path)
