@@ -7,8 +7,8 @@ the quaternion from the body to the frame of the positions; lines that begin wit
 """
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 from typing import Final
@@ -48,15 +48,8 @@ _TUM_FORMAT: Final = "time x y z qx qy qz qw: seconds on the log's clock, m, and
 _LATEST_S: Final = Decimal(2**63) / NS_PER_S
 
 
-@dataclass(frozen=True)
-class Part:
-    """What one topic gives; the cleaner knows which of its messages were taken."""
-
-    time_ns: TimeNs
-    position: Floats | None
-    velocity_n: Floats | None
-    mat_nb: Floats | None
-    cleaner: Cleaner
+Part = tuple[Cleaner, dict[str, Floats]]  # what one topic gives of `_SHAPES`, and which of its messages were taken
+_SHAPES: Final = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
 
 
 def decode_reference(
@@ -69,7 +62,7 @@ def decode_reference(
             fields = {name: path for name, path in table.source.fields.items() if name != "local_position"}
             tables[i] = replace(table, source=replace(table.source, fields=fields))
     parts = [read_part(table, settings, initial) for table in tables]
-    return (union(parts) if parts else None), [note for part in parts for note in part.cleaner.notes]
+    return (union(parts) if parts else None), [note for cleaner, _ in parts for note in cleaner.notes]
 
 
 def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
@@ -110,10 +103,8 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     ):
         if values is not None:
             cleaner.note_missing(quantity, values)
-    position, velocity_n, mat_nb = (
-        None if values is None else cleaner.kept(values) for values in (position, velocity_n, mat_nb)
-    )
-    return Part(cleaner.times, position, velocity_n, mat_nb, cleaner)
+    found = zip(_SHAPES, (position, velocity_n, mat_nb), strict=True)
+    return cleaner, {name: cleaner.kept(values) for name, values in found if values is not None}
 
 
 def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
@@ -223,21 +214,18 @@ def _velocity_n(table: Table, settings: Navigation, mat_nb: Floats | None) -> Fl
 
 def union(parts: Sequence[Part]) -> ReferenceColumns:
     """Join topics on the union of their times; one alone is not copied, and one row stands for what it lacks."""
-    shapes = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3)}
     if len(parts) == 1:
-        count, values = len(parts[0].time_ns), {name: getattr(parts[0], name) for name in shapes}
+        [(cleaner, found)] = parts
         columns = {
-            name: nothing((count, *shapes[name])) if column is None else np.ascontiguousarray(column)
-            for name, column in values.items()
+            name: np.ascontiguousarray(found[name]) if name in found else nothing((cleaner.times.size, *shape))
+            for name, shape in _SHAPES.items()
         }
-        return ReferenceColumns(parts[0].time_ns, **columns)
-    time_ns = distinct(np.concatenate([part.time_ns for part in parts]))
-    columns = {name: np.full((time_ns.size, *shape), np.nan) for name, shape in shapes.items()}
-    for part in parts:
-        rows = np.searchsorted(time_ns, part.time_ns)
-        for name, column in columns.items():
-            if (values := getattr(part, name)) is not None:
-                column[rows] = values
+        return ReferenceColumns(cleaner.times, **columns)
+    time_ns = distinct(np.concatenate([cleaner.times for cleaner, _ in parts]))
+    columns = {name: np.full((time_ns.size, *shape), np.nan) for name, shape in _SHAPES.items()}
+    for cleaner, found in parts:
+        for name, values in found.items():
+            columns[name][np.searchsorted(time_ns, cleaner.times)] = values
     return ReferenceColumns(time_ns, **columns)
 
 
@@ -253,23 +241,25 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
     """Make the columns of a solution of its topic, and of the one with its geographic positions if there is one."""
     # Positions in metres are aligned where the filters start, not where [initial] says.
     parts = [read_part(table, settings, Initial()) for table in tables]
-    for part in parts:
-        part.cleaner.require_rows()
-    motion, table, part = union(parts), tables[0], parts[0]
-    completed, notes = table.source.completed(settings), [note for part in parts for note in part.cleaner.notes]
+    for cleaner, _ in parts:
+        cleaner.require_rows()
+    motion, table, (cleaner, found) = union(parts), tables[0], parts[0]
+    completed, notes = table.source.completed(settings), [note for other, _ in parts for note in other.notes]
     way_n = None
     if "local_position" in table and not motion.has_position:
-        way_n = part.cleaner.kept(local_way_n(table, completed))
-    order, rows = rows_among(table.sampled, part.cleaner.rows, len(table))
-    cov, wrong = _covariances(table, completed, part, order, rows)
+        way_n = cleaner.kept(local_way_n(table, completed))
+    order, rows = rows_among(table.sampled, cleaner.rows, len(table))
+    cov, wrong = _covariances(table, completed, found, order, rows)
     if wrong:
         text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
         hint = "whoever writes them can tell; without them the solution is not evaluated honest or not"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
-    return SolutionColumns(motion, way_n, part.time_ns[rows], cov), notes
+    return SolutionColumns(motion, way_n, cleaner.times[rows], cov), notes
 
 
-def _covariances(table: Table, settings: Solution, part: Part, order: TimeNs, rows: TimeNs) -> tuple[Floats, int]:
+def _covariances(
+    table: Table, settings: Solution, found: Mapping[str, Floats], order: TimeNs, rows: TimeNs
+) -> tuple[Floats, int]:
     """Return the covariance of the sampled rows in n, shape (c, 9, 9), and count matrices that are none.
 
     A velocity in the body errs by what its own covariance says, and in n by a misalignment, too: with
@@ -284,12 +274,12 @@ def _covariances(table: Table, settings: Solution, part: Part, order: TimeNs, ro
         for row, pose_row in blocks:
             for column, pose_column in blocks:
                 cov[:, row, column] = turn_n @ pose[:, pose_row, pose_column] @ turn_n.T
-    if "twist_cov" in table and part.velocity_n is not None:
+    if "twist_cov" in table and "velocity_n" in found:
         twist, more = _valid_covariances(table.values("twist_cov", 6)[order], 3)
         wrong += more
         in_body = "velocity_b" in table and settings.velocity_n is None
-        if in_body and part.mat_nb is not None:
-            mat, velocity_x = part.mat_nb[rows] @ turn_b, skew(part.velocity_n[rows])
+        if in_body and "mat_nb" in found:
+            mat, velocity_x = found["mat_nb"][rows] @ turn_b, skew(found["velocity_n"][rows])
             by_phi = -velocity_x @ cov[:, PHI]
             cov[:, DV, DV] = mat @ twist @ mat.swapaxes(1, 2) - by_phi[:, :, PHI] @ velocity_x.swapaxes(1, 2)
             cov[:, DV, PHI], cov[:, DV, DP] = by_phi[:, :, PHI], by_phi[:, :, DP]

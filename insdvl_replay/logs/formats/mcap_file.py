@@ -371,17 +371,16 @@ class McapFile(ChunkedFile):
     def _look_into_chunks(self) -> None:
         """Open the chunks of which it is not known what is in them, for definitions and counts."""
         for chunk in list(self._chunks):
-            is_known = chunk.indexes and chunk.is_indexed and all(map(self._is_defined, chunk.counts))
-            if not chunk.is_loose and not is_known:
+            channels = [self._channels.get(channel_id) for channel_id in chunk.counts]
+            is_defined = all(
+                channel and (not channel.schema_id or channel.schema_id in self.schemas) for channel in channels
+            )
+            if not chunk.is_loose and not (chunk.indexes and chunk.is_indexed and is_defined):
                 for content in self._contents([chunk]):
                     chunk.counts = content.counts()
         for channel_id, count in self._counts().items():
             if channel_id not in self._channels:
                 self.damage(len(self.file), f"{count} messages are of channel {channel_id}, which is nowhere defined")
-
-    def _is_defined(self, channel_id: int) -> bool:
-        channel = self._channels.get(channel_id)
-        return channel is not None and (channel.schema_id == 0 or channel.schema_id in self.schemas)
 
     # --- Chunks.
 
