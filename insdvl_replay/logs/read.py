@@ -82,7 +82,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         )
         for topic, same in sorted(by_topic(log.channels).items())
     )
-    del log  # its file was mapped, and decoding needs the room
+    del log  # its open chunks are large, and decoding needs the room
     columns = RoleColumns(place, config)
     notes += columns.clock_notes([table.clock() for table in tables])
     for finding in filter(lambda finding: finding.sources, findings):

@@ -189,7 +189,8 @@ class BagFile(ChunkedFile):
         for number in numbers[ids < 0].tolist():
             self.damage(chunk.start, f"messages are of connection {number}, which is nowhere described")
         chunk.counts = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
-        self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])
+        known = ids[rows] >= 0
+        self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])[:, known]
         return self._found[chunk.start]
 
     def _listed(self, chunk: Chunk) -> Messages | None:
