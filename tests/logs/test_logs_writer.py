@@ -512,6 +512,14 @@ def test_odometry_is_east_north_up_and_forward_port_up(tmp_path: Path) -> None:
     assert (messages[0].header.frame_id, messages[0].child_frame_id) == ("odom", "base_link")
 
 
+def test_a_dvl_measurement_without_a_message_type_is_written_as_innovations_alone(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    write_replay(
+        path, histories=HISTORIES, dvl={"beams": DVL["velocity"]}, errors={}, tables=NO_TABLES, notes=(), **ORIGIN
+    )
+    assert not [topic for topic in decode(path) if topic.startswith("/insdvl/dvl/")]
+
+
 def test_fix_holds_the_position(replay_messages: Decoded) -> None:
     position = column(replay_messages["/insdvl/aided/fix"], "latitude", "longitude", "altitude") * [DEG, DEG, 1.0]
     np.testing.assert_allclose(position, HISTORIES[1].position, rtol=1e-15)
