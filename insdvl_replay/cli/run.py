@@ -79,7 +79,7 @@ def run(
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
-    from insdvl_replay.core.result import Only, Part, Report
+    from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, result_file
     from insdvl_replay.show.dive import (
         dive_document,
@@ -164,7 +164,7 @@ def run(
         parts = overview_parts(reports)
         if format_ == "table":
             parts = [] if tables else dives_screen(reports, str(output / INDEX))
-        write_stdout(written(replay_result(done, parts or [Only((), ())], tables), format_))
+        write_stdout(written(replay_result(done, parts, tables), format_))
     if failed := [name for name, code in codes.items() if code]:
         reasons = [report.reason for report in reports if isinstance(report, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""

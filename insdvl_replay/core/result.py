@@ -278,7 +278,7 @@ class Result:
     series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)  # long tables: CSV files only
     block: str = "table"  # head of the CSV column that names the table of a row; empty: of one table, there is none
     display: Sequence[Part] = ()  # the tables as people see them; empty: each as its row type says
-    document: Sequence[Part] = ()  # the whole in the command's own order; empty: in the usual order
+    document: Sequence[Part] | None = None  # the whole in the command's own order; None: in the usual order
     data: Any = None  # what JSON holds, where it is not the above
 
 

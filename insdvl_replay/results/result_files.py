@@ -1,6 +1,8 @@
 """A replay on disk: the files of a result folder, and histories and trajectories for other tools."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -21,6 +23,7 @@ from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.replay import Replay
 from insdvl_replay.results.folder import (
     COMPLETE,
+    LAYOUT_FILES,
     PAGE,
     REFERENCE_TRAJECTORY,
     REPLAY_LOG,
@@ -29,7 +32,6 @@ from insdvl_replay.results.folder import (
     trajectory_file,
 )
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
-from insdvl_replay.results.viewer_layouts import viewer_layouts
 from insdvl_replay.show.dive import NO_REFERENCE, dive_page, has_reference
 from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
@@ -81,6 +83,14 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     page = dive_page(report, first_panels(replay), replay_figures(replay), strips, settings)
     (folder / PAGE).write_bytes(page)
     (folder / COMPLETE).write_bytes(as_json(report))
+
+
+def viewer_layouts(filters: Sequence[str]) -> dict[str, str]:
+    """Return the layouts of the first filter and of the one after it, by the names of their files."""
+    names = {"baseline": filters[0], "aided": filters[min(1, len(filters) - 1)]}
+    folder = resources.files("insdvl_replay").joinpath("results", "layouts")
+    drawn = {file: folder.joinpath(file).read_text("utf-8") for file in LAYOUT_FILES}
+    return {file: re.sub(r"\b(baseline|aided)\b", lambda found: names[found[1]], text) for file, text in drawn.items()}
 
 
 def run_log(report: Report) -> str:

@@ -48,7 +48,7 @@ def render(result: Result, format_: str) -> str:
 
 def document(result: Result) -> Document:
     """Return the parts of a result in their order."""
-    if result.document:
+    if result.document is not None:
         return result.document
     tables: Sequence[Part] = result.display or [
         shown(type(table[0]), table)
