@@ -11,8 +11,9 @@ from msgspec import Meta, Struct
 from insdvl_replay.changes.gates import EVERY_DIVE, TRAJECTORY, CheckResult, Finding, Judgement
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.result import DisplayTable, Part, Result, Title, Tool, this_tool
+from insdvl_replay.core.tables import PERCENTAGE
 from insdvl_replay.core.words import GateStatus
-from insdvl_replay.show.document import counted
+from insdvl_replay.show.document import MISSING, counted
 from insdvl_replay.show.render import render
 
 # By status: its word beside a gate, its word behind a count, and its element of JUnit XML.
@@ -62,12 +63,14 @@ def check_result(found: CheckResult) -> Result:
     if missed := _missed(found):
         rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
         parts.append(DisplayTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))
-    moved = [
-        (item.dive, cell.place, cell.short_was, cell.short, cell.growth, "" if cell.passed else "FAILED")
-        for item in found.judgements
-        for cell in item.findings
-        if cell.was is not None and cell.is_seen_to_move
-    ]
+    moved = []
+    for item in found.judgements:
+        for cell in item.findings:
+            was, now, unit = _values(cell)
+            if cell.was is not None and was != now:
+                moved.append(
+                    (item.dive, _place(cell), was, f"{now}{unit}", _growth(cell), "" if cell.passed else "FAILED")
+                )
     if moved:
         moved.sort(key=lambda row: not row[-1])  # those that did not pass first
         more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
@@ -184,13 +187,39 @@ def baseline_text(
     """State what a new baseline would change: each value that is new or moved, and how many are as before."""
     moved, shown = 0, list[str]()
     for dive, cell in changes:
-        if cell.table == TRAJECTORY and not cell.passed:
-            shown.append(f"{dive}: trajectory of {cell.sentence.replace(': is not in the baseline', ' is new')}")
-        elif cell.table != TRAJECTORY and cell.is_seen_to_move:
+        was, now, unit = _values(cell)
+        if cell.table == TRAJECTORY:
+            moved += not cell.passed
+            if not cell.passed:
+                shown.append(f"{dive}: trajectory of {cell.sentence.replace(': is not in the baseline', ' is new')}")
+            continue
+        moved += len(set(_values(cell, 9)[:2])) > 1  # in the digits in which all processors agree
+        if was != now:
             allowed = f", {cell.allowed} allowed" if cell.allowed else ""
-            change = f"goes from {cell.short_was} to {cell.short} ({cell.growth}{allowed})"
-            shown.append(f"{dive}: {cell.place} {f'is new: {cell.short}' if cell.was is None else change}")
-        moved += not cell.passed if cell.table == TRAJECTORY else cell.has_moved
+            change = f"goes from {was} to {now}{unit} ({_growth(cell)}{allowed})"
+            shown.append(f"{dive}: {_place(cell)} {f'is new: {now}{unit}' if cell.was is None else change}")
     unseen = f"{moved - len(shown)} by less than four digits show, " if moved > len(shown) else ""
     count = f"{counted(len(shown), 'value')} new or moved, {unseen}{len(changes) - moved} as before"
     return "".join(f"{visible(line)}\n" for line in (*shown, count))
+
+
+def _place(cell: Finding) -> str:
+    return f"{cell.table} {cell.filter} {cell.row}: {cell.column}"
+
+
+def _values(cell: Finding, digits: int = 4) -> tuple[str, str, str]:
+    """Write the baseline's value and today's, and their unit, with a blank before it."""
+    was, now = (
+        MISSING if value is None else f"{value:.{digits}g}" if isinstance(value, float) else str(value)
+        for value in (cell.was, cell.value)
+    )
+    return was, now, f" {cell.unit}" if cell.unit else ""
+
+
+def _growth(cell: Finding) -> str:
+    was, now = cell.was, cell.value
+    if not isinstance(was, int | float) or not isinstance(now, int | float):
+        return "changed"
+    if cell.column.endswith(PERCENTAGE):
+        return f"{now - was:+.3g} points"
+    return f"{100.0 * (now - was) / abs(was):+.3g} %" if was else "from zero"

@@ -38,7 +38,6 @@ from insdvl_replay.core.words import ChangeWord, GateLevel, GateStatus, Referenc
 from insdvl_replay.core.words import Judgement as Word
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
 from insdvl_replay.results.stored_results import read_results
-from insdvl_replay.show.document import MISSING
 
 if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.
@@ -123,45 +122,6 @@ class Finding(Struct, frozen=True):
     passed: bool
     unit: str = ""  # of the two values
     allowed: str = ""  # by how much it may be worse than the baseline's
-
-    @property
-    def place(self) -> str:
-        """Where the cell is."""
-        return f"{self.table} {self.filter} {self.row}: {self.column}"
-
-    @property
-    def has_moved(self) -> bool:
-        """Whether the value is another one, in the digits in which all processors agree."""
-        return _with_digits(self.was, 9) != _with_digits(self.value, 9)
-
-    @property
-    def is_seen_to_move(self) -> bool:
-        """Whether the value is another one, in the digits that are shown."""
-        return _with_digits(self.was, 4) != _with_digits(self.value, 4)
-
-    @property
-    def short_was(self) -> str:
-        """The baseline's value in four digits."""
-        return _with_digits(self.was, 4)
-
-    @property
-    def short(self) -> str:
-        """The value in four digits, with its unit."""
-        return f"{_with_digits(self.value, 4)}{f' {self.unit}' if self.unit else ''}"
-
-    @property
-    def growth(self) -> str:
-        """By how much the value grew."""
-        was, now = self.was, self.value
-        if not isinstance(was, int | float) or not isinstance(now, int | float):
-            return "changed"
-        if self.column.endswith(PERCENTAGE):
-            return f"{now - was:+.3g} points"
-        return f"{100.0 * (now - was) / abs(was):+.3g} %" if was else "from zero"
-
-
-def _with_digits(value: Cell, digits: int) -> str:
-    return MISSING if value is None else f"{value:.{digits}g}" if isinstance(value, float) else str(value)
 
 
 class Judgement(Struct, frozen=True):
