@@ -14,7 +14,7 @@ import gc
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
@@ -55,7 +55,9 @@ def return_freed_memory() -> None:
             trim(0)
 
 
-def parallel_map(work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None) -> Iterator[Result]:
+def parallel_map(
+    work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None
+) -> Generator[Result, None, None]:
     """Do the work on each item in threads, and yield the results in the order of the items.
 
     The compiled filter and numpy's long loops leave the interpreter to other threads while they run. An exception or

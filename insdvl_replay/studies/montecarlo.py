@@ -1,6 +1,7 @@
 """The Monte Carlo study: many simulated dives, and whether the filters' uncertainty is as large as their errors."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -155,10 +156,10 @@ def study_montecarlo(
     setup = make_setup(scenario, config, imu, duration_s, outages)
     seeds = [run_seed(seed, run) for run in range(1, runs + 1)]
     tallies: dict[str, Tally] = {}
-    simulated = parallel_map(partial(simulated_run, setup), seeds, jobs)
-    for _, errors in zip(track_progress("run", seeds), simulated, strict=True):
-        for run in errors:
-            tallies.setdefault(run.filter, Tally(run)).add(run)
+    with closing(parallel_map(partial(simulated_run, setup), seeds, jobs)) as simulated:
+        for _, errors in zip(track_progress("run", seeds), simulated, strict=True):
+            for run in errors:
+                tallies.setdefault(run.filter, Tally(run)).add(run)
     ensembles = tuple(tally.ensemble() for tally in tallies.values())
     tables = {"montecarlo": montecarlo_table(ensembles), "verdicts": verdict_table(ensembles)}
     if outages:
