@@ -34,7 +34,7 @@ from insdvl_replay.evaluation.reference_errors import reference_errors
 from insdvl_replay.evaluation.verdicts import pooled_evidence, pooled_judgement
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
-from insdvl_replay.preparation.run import prepared_timeline, run_filters
+from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start
 
@@ -128,7 +128,8 @@ def _errors_from_drawn_start(dive: Dive, exact: Dive, number: int, seed: int) ->
         drawn_start(MonteCarloSetup(exact, world.imu_errors, world.dvl_errors, world.config), seed),
     )
     begun = replace(start, alignment=replace(start.alignment, start=drawn))
-    return _true_errors(run_filters(begun, prepared_timeline(dive, begun)), exact)
+    timeline = prepared_timeline(dive, begun)
+    return _true_errors([run_one(filter_, begun, timeline) for filter_ in begun.filters], exact)
 
 
 def _true_errors(histories: Sequence[History], exact: Dive) -> dict[str, MeanSquares]:

@@ -23,7 +23,7 @@ from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.evaluation.credibility import StateErrors, about_vehicle, credibility_table, state_errors, whitened
 from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.run import prepared_timeline, run_filters
+from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.studies.montecarlo import MonteCarloSetup, drawn_start, matched_errors, run_seed
 
@@ -44,7 +44,8 @@ def matched_dives(preset: str, dives: int) -> Iterator[StateErrors]:
             raise ValueError("a simulated dive has a reference")
         prepared = prepare_dive(dive, config)
         begun = replace(prepared, alignment=replace(prepared.alignment, start=drawn_start(setup, seed)))
-        (history,) = run_filters(begun, prepared_timeline(dive, begun), cov_ns=dive.reference.time_ns)
+        timeline = prepared_timeline(dive, begun)
+        history = run_one(begun.filters[0], begun, timeline, cov_ns=dive.reference.time_ns)
         yield state_errors(history, dive.reference, dive.truth).after(begun.alignment.start_ns)
 
 

@@ -18,8 +18,7 @@ from insdvl_replay.evaluation.notes import constants_notes, reference_notes, set
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.verdicts import judged_candidates
 from insdvl_replay.nav.dvl import DvlVelocities
-from insdvl_replay.preparation.gaps import outage_notes
-from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, run_candidates
 
 

@@ -62,13 +62,7 @@ from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.notes import CLASSES, sensor_class
 from insdvl_replay.evaluation.outage_test import outage_test_table
-from insdvl_replay.preparation.run import (
-    outage_plan,
-    prepare_with_heading,
-    prepared_timeline,
-    run_filters,
-    run_outages,
-)
+from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, run_candidates
 
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
 """Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
@@ -304,10 +298,8 @@ def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = Non
         nis.append(float(np.mean(asked.history(tried).innovations[0].nis)) / 3.0)
         pings = moved_pings(prepared.velocities, tried).within(prepared.alignment.start_ns, prepared.end_ns)
         moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried))
-        plan, timeline = outage_plan(moved), prepared_timeline(read.dive, moved)
-        histories = run_filters(moved, timeline, cov_ns=plan.start_ns)
-        drifts = run_outages(read.dive, alone, moved, timeline, histories, plan)
-        rows = outage_test_table(read.dive.name, drifts)
+        runs = run_candidates(read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone)
+        rows = outage_test_table(read.dive.name, runs.outages)
         outages.append(next((row for row in rows if row.window_s == OUTAGE_S), None))
     windows = outages[0].windows if outages[0] else 0
     noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)

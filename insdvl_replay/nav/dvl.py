@@ -11,12 +11,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, TimeNs, seconds
+from insdvl_replay.core.dive_columns import DvlColumns, Floats, TimeNs
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.quantities import PARITY, beam_name
 from insdvl_replay.geometry.frames import DvlMounting, beam_vectors, solve_beams, whole_ping_cov
-from insdvl_replay.nav.measurements import BEAM, NEVER_REOPENED, VELOCITY, Measurement, sensor_measurement
-from insdvl_replay.nav.timeline import BEAMS, PINGS
+from insdvl_replay.nav.measurements import BEAM, VELOCITY, Measurement
+from insdvl_replay.nav.timeline import BEAMS
 
 
 @dataclass(frozen=True)
@@ -218,92 +218,68 @@ def velocity_cov(velocities: DvlVelocities, sd_mps: float, *, for_one_beam: bool
     return cov
 
 
-def velocity_measurement(velocities: DvlVelocities, cov_b: Floats, gate: float, reopen_after: int) -> Measurement:
-    """Return the measurement of the DVL's velocity at every ping.
-
-    Parameters
-    ----------
-    cov_b : ndarray, shape (m, 3, 3)
-        From `velocity_cov`.
-    gate : float
-        Largest NIS that is used.
-    reopen_after : int
-        Rejections in a row that open the velocity's uncertainty; 0: never.
-    """
-    made = sensor_measurement(
-        "velocity", "m/s", VELOCITY, velocities.time_ns, velocities.velocity_b, np.ones(3), axes=("x", "y", "z")
+def velocity_measurement(velocities: DvlVelocities, cov_b: Floats) -> Measurement:
+    """Return the measurement of the DVL's velocity at every ping, with covariances from `velocity_cov`."""
+    return Measurement(
+        name="velocity",
+        unit="m/s",
+        kind=VELOCITY,
+        valid_ns=velocities.time_ns,
+        values=velocities.velocity_b,
+        cov=cov_b,
+        available=np.ones(len(cov_b), np.bool_),
+        axes=("x", "y", "z"),
+        holds_height=True,
     )
-    weights = np.zeros((len(cov_b), 1))
-    return replace(made, cov=cov_b, gate=gate, reopen_after=reopen_after, velocity_weights=weights, holds_height=True)
 
 
-def beam_measurements(dvl: DvlBeams, sd_mps: float, gate: float, reopen_after: int) -> tuple[Measurement, ...]:
+def beam_measurements(beams: DvlBeams, sd_mps: float) -> list[Measurement]:
     """Return a measurement of each beam, ``beam_1`` and so on, as measurements of one reading, each with its own gate.
 
-    Parameters
-    ----------
-    sd_mps : float
-        Noise of one beam.
-    gate : float
-        Largest NIS of a beam that is used.
-    reopen_after : int
-        Pings in a row without a used beam that open the velocity's uncertainty; 0: never.
+    The noise is that of one beam.
     """
-    found = []
-    for beam, direction_b in enumerate(dvl.directions_b):
-        reading = dvl.beam_velocity_mps[:, beam : beam + 1]
-        made = sensor_measurement(
-            beam_name(beam + 1), "m/s", BEAM, dvl.time_ns, np.nan_to_num(reading), np.array([sd_mps])
+    readings, count = beams.beam_velocity_mps, len(beams.directions_b)
+    return [
+        Measurement(
+            name=beam_name(beam + 1),
+            unit="m/s",
+            kind=BEAM,
+            valid_ns=beams.time_ns,
+            values=np.nan_to_num(readings[:, beam : beam + 1]),
+            cov=np.full((len(readings), 1, 1), sd_mps * sd_mps),
+            available=np.isfinite(readings[:, beam]),
+            sensor=BEAMS,
+            direction_b=direction_b,
+            goes_on=beam < count - 1,
+            holds_height=True,
         )
-        found.append(
-            replace(
-                made,
-                sensor=BEAMS,
-                available=np.isfinite(reading[:, 0]),
-                gate=gate,
-                reopen_after=reopen_after,
-                direction_b=direction_b,
-                goes_on=beam < len(dvl.directions_b) - 1,
-                holds_height=True,
-            )
-        )
-    return tuple(found)
+        for beam, direction_b in enumerate(beams.directions_b)
+    ]
 
 
 def acceleration_measurement(
     velocities: DvlVelocities,
     velocity_cov_b: Floats,
+    windows: SlopeWindows,
     *,
     kind: int,
-    window: int,
-    order: int,
-    max_gap_s: float,
     sd_mps2: float | None,
     accel_white_mps_rts: float,
-    gate: float,
 ) -> Measurement:
-    """Return the measurement of the slope of past DVL velocities.
+    """Return the measurement of the slope of past DVL velocities, `PUBLISHED` or `WINDOWED`.
 
     Parameters
     ----------
     velocity_cov_b : ndarray, shape (m, 3, 3)
         From `velocity_cov`.
-    kind : int
-        `PUBLISHED` or `WINDOWED`.
-    window, order, max_gap_s
-        See `dvl.slope_windows`.
     sd_mps2 : float or None
         Standard deviation on each axis; None takes the DVL's noise through the fit plus the accelerometer's through the
         prediction, ``R_a = sum c_j^2 R_j + N_a^2 sum W_j^2 dt_j``.
     accel_white_mps_rts : float
         White noise of the accelerometers, m/s/sqrt(s).
-    gate : float
-        Largest NIS that is used.
     """
-    time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
-    windows = slope_windows(time_s, window, order, max_gap_s)
     if sd_mps2 is not None:
-        cov_b = np.broadcast_to(sd_mps2**2 * np.eye(3), (len(time_s), 3, 3))
+        cov_b = np.broadcast_to(sd_mps2**2 * np.eye(3), velocity_cov_b.shape)
     else:
         predicted_var = accel_white_mps_rts**2 * np.sum(windows.interval_weights**2 * windows.interval_s, axis=1)
         fitted_cov = windowed_sum(windows.velocity_weights**2, velocity_cov_b)
@@ -312,16 +288,13 @@ def acceleration_measurement(
         name="acceleration",
         unit="m/s^2",
         kind=kind,
-        sensor=PINGS,
-        available=windows.complete,
         valid_ns=velocities.time_ns[:1] + np.round(windows.middle_s * 1e9).astype(np.int64),
         values=windowed_sum(windows.velocity_weights, velocities.velocity_b),
         cov=cov_b,
-        gate=gate,
-        reopen_after=NEVER_REOPENED,
+        available=windows.complete,
+        axes=("x", "y", "z"),
         velocity_weights=windows.velocity_weights,
         interval_weights=windows.interval_weights,
-        axes=("x", "y", "z"),
     )
 
 

@@ -33,14 +33,6 @@ UNSEEN_MPS2: Final = 0.5
 
 
 @dataclass(frozen=True)
-class SensorNoise:
-    """Noise of the sensors that find the level."""
-
-    velocity_cov_b: Floats  # (m, 3, 3), of each ping, m^2/s^2
-    accel_white_mps_rts: float  # m/s/sqrt(s)
-
-
-@dataclass(frozen=True)
 class Level:
     """Gravity in the body axes at the start, and its error.
 
@@ -75,7 +67,8 @@ def levelling_samples(imu: ImuColumns, start_ns: int) -> ImuColumns:
 def find_level(
     samples: ImuColumns,
     velocities: DvlVelocities,
-    noise: SensorNoise,
+    velocity_cov_b: Floats,
+    accel_white_mps_rts: float,
     lever_arm_b: Floats,
     start_ns: int,
     *,
@@ -92,6 +85,10 @@ def find_level(
         From `levelling_samples`, without the biases that are known beforehand.
     velocities : DvlVelocities
         m pings.
+    velocity_cov_b : ndarray, shape (m, 3, 3)
+        Their noise, m^2/s^2.
+    accel_white_mps_rts : float
+        White noise of the accelerometers, m/s/sqrt(s).
     lever_arm_b : ndarray, shape (3,)
         IMU to DVL, m.
     heading, latitude : float
@@ -134,7 +131,7 @@ def find_level(
         pings: int,
     ) -> Level:
         later = np.cumsum(weights[::-1])[::-1]
-        white = noise.accel_white_mps_rts**2 * float(np.sum(later**2 * np.diff(time_s[rows], prepend=0.0)))
+        white = accel_white_mps_rts**2 * float(np.sum(later**2 * np.diff(time_s[rows], prepend=0.0)))
         return Level(
             weights @ (velocity - force_sum[rows]),
             velocity_b,
@@ -153,7 +150,7 @@ def find_level(
         return unaided
 
     # With one, a straight line through the pings. Their noise is that of the settings, or their scatter if larger.
-    rows, cov_b = np.searchsorted(time_ns, ping_ns), noise.velocity_cov_b[heard]
+    rows, cov_b = np.searchsorted(time_ns, ping_ns), velocity_cov_b[heard]
     velocity = np.einsum("kij,kj->ki", mat[rows], velocities.velocity_b[heard] - np.cross(rate_eb_b[rows], lever_arm_b))
     free, ping_s = velocity - force_sum[rows], time_s[rows] - time_s[rows].mean()
     weights = ping_s / np.sum(ping_s**2)

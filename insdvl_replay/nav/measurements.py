@@ -62,6 +62,7 @@ USER: Final = 7
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ZERO: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+NO_WINDOW: Final = np.zeros((0, 0))
 NOTHING_PASSES: Final = -1.0
 """A gate below any NIS."""
 NEVER_REOPENED: Final = 0
@@ -75,21 +76,21 @@ class Measurement:
     name: str  # in tables and messages
     unit: str
     kind: int
-    sensor: int  # a row of `timeline.Timeline.rows`
-    available: NDArray[np.bool_]  # (k,), readings that can be used
     valid_ns: TimeNs  # (k,), times of validity: the readings' own, or the middle of a window
     values: Floats  # (k, m); of the DVL in b
     cov: Floats  # (k, m, m), R
-    gate: float  # largest NIS that is used
-    reopen_after: int  # rejections in a row that open the velocity's uncertainty; 0: never
-    velocity_weights: Floats  # (k, w), weights c of the window's velocities; w = 0 without a window
-    interval_weights: Floats  # (k, w - 1), weights W of the window's intervals
-    lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # IMU to the sensor, m; the filter has the DVL's
+    available: NDArray[np.bool_]  # (k,), readings that can be used
+    axes: tuple[str, ...] = ()  # names of the components; empty for one component
+    sensor: int = PINGS  # a row of `timeline.Timeline.rows`
+    gate: float = np.inf  # largest NIS that is used
+    reopen_after: int = NEVER_REOPENED  # rejections in a row that open the velocity's uncertainty; 0: never
+    velocity_weights: Floats = field(default_factory=lambda: NO_WINDOW)  # (k, w), c of the window's velocities
+    interval_weights: Floats = field(default_factory=lambda: NO_WINDOW)  # (k, w - 1), W of the window's intervals
+    sensor_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # IMU to a sensor that is not the DVL, m
     direction_b: Floats = field(default_factory=lambda: np.zeros(3))  # of a beam
     noise: int = FIXED  # how R is taken, see `kalman`
     goes_on: bool = False  # the next measurement is of the same reading; both together correct the state
     predict: Predicts | None = None  # of user-defined measurements, this one is number ``kind - USER``
-    axes: tuple[str, ...] = ()  # names of the components; empty for one component
     holds_height: bool = False  # measures the velocity down: gravity follows the INS's height, see `earth_model`
 
     @property
@@ -105,6 +106,22 @@ class Measurement:
     def until(self, end_ns: int) -> "Measurement":
         """Keep the readings up to a time."""
         return self.rows(slice(int(np.searchsorted(self.valid_ns, end_ns, side="right"))))
+
+    def held_out(self) -> "Measurement":
+        """Let a filter predict it without using it: its gate lets nothing pass."""
+        return replace(self, gate=NOTHING_PASSES, reopen_after=NEVER_REOPENED)
+
+
+def sensor_measurement(
+    name: str, unit: str, kind: int, time_ns: TimeNs, values: Floats, sd: Floats, axes: tuple[str, ...] = ()
+) -> Measurement:
+    """Return a measurement at every reading, shape (k, s), without a gate; ``sd``, shape (s,) or (k, s), is its noise.
+
+    The noise of its components is independent.
+    """
+    k, size = values.shape
+    cov = np.broadcast_to(sd, (k, size))[:, :, None] ** 2 * np.eye(size)
+    return Measurement(name, unit, kind, time_ns, values, cov, np.ones(k, dtype=np.bool_), axes)
 
 
 class Stack(NamedTuple):
@@ -126,7 +143,7 @@ class Stack(NamedTuple):
     holds_height: NDArray[np.bool_]
     gate: Floats
     reopen_after: NDArray[np.int64]
-    lever_arm_b: Floats
+    sensor_arm_b: Floats
     direction_b: Floats
 
 
@@ -134,52 +151,17 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
     """Stack measurements, at least one, for the loop."""
     count, width = max(len(made.available) for made in measurements), max(made.size for made in measurements)
     window = max(1, *(made.velocity_weights.shape[1] for made in measurements))
-    shapes = ((), (width,), (width, width), (window,), (window - 1,))
-    columns = [np.zeros((len(measurements), count, *shape)) for shape in shapes]
-    available, values, cov, velocity_weights, interval_weights = columns
-    for m, made in enumerate(measurements):
-        k, size, first = len(made.available), made.size, window - made.velocity_weights.shape[1]
-        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = made.available, made.values, made.cov
-        velocity_weights[m, :k, first:], interval_weights[m, :k, first:] = made.velocity_weights, made.interval_weights
-    by_measurement = [np.array([getattr(made, name) for made in measurements]) for name in Stack._fields[5:]]
-    return Stack(available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement)
-
-
-def hold_out(measurement: Measurement) -> Measurement:
-    """Let a filter predict a measurement without using it: its gate lets nothing pass."""
-    return replace(measurement, gate=NOTHING_PASSES, reopen_after=NEVER_REOPENED)
-
-
-def sensor_measurement(
-    name: str, unit: str, kind: int, time_ns: TimeNs, values: Floats, sd: Floats, *, axes: tuple[str, ...] = ()
-) -> Measurement:
-    """Return the measurement of a sensor beside the DVL, at every reading, without a gate.
-
-    Parameters
-    ----------
-    time_ns : ndarray, shape (k,)
-        Times of validity.
-    values : ndarray, shape (k, s)
-    sd : ndarray, shape (s,) or (k, s)
-        Noise of the independent components.
-    """
-    k, size = values.shape
-    cov = np.broadcast_to(sd, (k, size))[:, :, None] ** 2 * np.eye(size)
-    return Measurement(
-        name=name,
-        unit=unit,
-        kind=kind,
-        sensor=PINGS,
-        available=np.ones(k, dtype=np.bool_),
-        valid_ns=time_ns,
-        values=values,
-        cov=cov,
-        gate=np.inf,
-        reopen_after=NEVER_REOPENED,
-        velocity_weights=np.zeros((k, 0)),
-        interval_weights=np.zeros((k, 0)),
-        axes=axes,
+    shapes = (), (width,), (width, width), (window,), (window - 1,)
+    available, values, cov, velocity_weights, interval_weights = (
+        np.zeros((len(measurements), count, *shape)) for shape in shapes
     )
+    for m, made in enumerate(measurements):
+        k, size, (windows, length) = len(made.available), made.size, made.velocity_weights.shape
+        available[m, :k], values[m, :k, :size], cov[m, :k, :size, :size] = made.available, made.values, made.cov
+        velocity_weights[m, :windows, window - length :] = made.velocity_weights
+        interval_weights[m, :windows, window - length :] = made.interval_weights
+    by_measurement = (np.array([getattr(made, name) for made in measurements]) for name in Stack._fields[5:])
+    return Stack(available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement)
 
 
 class InsAtPing(NamedTuple):
@@ -194,7 +176,7 @@ class InsAtPing(NamedTuple):
     rate_eb_b: Floats  # (m, 3), against the Earth
     velocity_change_b: Floats  # (m, 3), added by the mechanisation since the ping before, m/s
     gravity: float  # m/s^2
-    lever_arm_b: Vector  # IMU to DVL, m
+    lever_arm_b: Vector  # IMU to DVL, m; the one place at which it enters the filter
     earth: LocalEarth
     rate_eb_now_b: Vector  # angular rate of the body against the Earth, rad/s
     constants: Floats  # (c,), values of the sensors' constants, in the order of their states
@@ -317,7 +299,7 @@ def _linearise_sensor(
         for j in range(H.shape[1]):
             H[i, j] = 0.0
     kind, position = measurements.kind[m], layout.position
-    reading, arm_n = measurements.values[m, row], rotate(ins.mat_nb, row_vector(measurements.lever_arm_b, m))
+    reading, arm_n = measurements.values[m, row], rotate(ins.mat_nb, row_vector(measurements.sensor_arm_b, m))
     constant = 0.0
     if kind == DEPTH:
         H[0, 3], H[0, 4] = arm_n[1], -arm_n[0]

@@ -15,7 +15,7 @@ from insdvl_replay.nav.earth_model import HOLD_AFTER_S
 from insdvl_replay.nav.error_model import TWELVE
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.measurements import Measurement, hold_out
+from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import PINGS, Timeline
 
 
@@ -58,7 +58,7 @@ def run_outage(
         rows = rows[rows >= 0]
         inside.append(measurement.rows(slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0)))
     velocity, *others = inside
-    kept = (hold_out(velocity), *(other for other in others if other.available.any()))
+    kept = (velocity.held_out(), *(other for other in others if other.available.any()))
     return run_filter(
         history.filter, window, start, noise_density, kept, lever_arm_b,
         more_states=more_states, heading_bias_rate_hz=heading_bias_rate_hz,

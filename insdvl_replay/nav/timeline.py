@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct, seconds
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.core.states import STATES
+from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import Vector, add, row_vector, scale, subtract
 
 PINGS: Final = 0
@@ -53,6 +54,11 @@ class Gaps:
         begun = np.searchsorted(self.start_ns, to_ns, side="left")
         over = np.searchsorted(self.end_ns, from_ns, side="right")
         return np.asarray(begun > over)
+
+    def swing_cov(self, time_ns: TimeNs, lever_arm_b: Floats) -> Floats:
+        """Return the covariance of ``w x l`` at times, shape (m, 3, 3): zero outside a gap, where the rate is known."""
+        inside, arm = self.overlap(time_ns, time_ns), skew(lever_arm_b)
+        return inside[:, None, None] * self.rate_sd_radps**2 * (arm @ arm.T)
 
     def after(self, time_ns: TimeNs) -> NDArray[np.int64]:
         """Return the row of the gap after each time, -1 for none."""

@@ -101,18 +101,21 @@ def load_user_measurement(word: str) -> UserMeasurement:
         user = found()
     except (Exception, SystemExit) as error:
         raise ValueError(f"cannot be made without arguments: {error}") from error
-    for what, word in (("name", user.name), ("unit", user.unit)):
-        if not isinstance(word, str):
-            raise ValueError(f"has the {what} {word!r}, which is no text")
-    if not user.name.isidentifier() or not is_whole(user.name):
-        raise ValueError(f"has the name '{user.name}', which is no word for a row of a table")
-    if is_reserved(user.name):
-        raise ValueError(f"has the name '{user.name}', which the tables have for a measurement of the tool's own")
-    for method, takes in (("readings", "self, dive"), ("predict", "ins, z, H")):
-        if getattr(found, method) is getattr(UserMeasurement, method):
-            raise ValueError(f"has no method {method}({takes})")
-    if inspect.ismethod(user.predict):
-        raise ValueError("has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)")
+    name, mistakes = str(user.name), (
+        (not isinstance(user.name, str), f"has the name {user.name!r}, which is no text"),
+        (not isinstance(user.unit, str), f"has the unit {user.unit!r}, which is no text"),
+        (not (name.isidentifier() and is_whole(name)), f"has the name '{name}', which is no word for a row of a table"),
+        (is_reserved(name), f"has the name '{name}', which the tables have for a measurement of the tool's own"),
+        (found.readings is UserMeasurement.readings, "has no method readings(self, dive)"),
+        (found.predict is UserMeasurement.predict, "has no method predict(ins, z, H)"),
+        (
+            inspect.ismethod(user.predict),
+            "has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)",
+        ),
+    )  # fmt: skip
+    for is_mistake, text in mistakes:
+        if is_mistake:
+            raise ValueError(text)
     return user
 
 

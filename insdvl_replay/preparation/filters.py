@@ -10,41 +10,34 @@ from msgspec.structs import asdict
 from msgspec.structs import replace as changed
 
 from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.quantities import HELD_OUT
 from insdvl_replay.core.states import DEG, FASTEST_MPS, MORE_STATES, SENSORS, states_for
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import DvlMounting, north_east_m
+from insdvl_replay.nav import kalman
 from insdvl_replay.nav.dvl import (
     DvlBeams,
     DvlVelocities,
     acceleration_measurement,
     beam_measurements,
+    slope_windows,
     velocity_cov,
     velocity_measurement,
 )
 from insdvl_replay.nav.error_model import noise_density
-from insdvl_replay.nav.kalman import ADAPTIVE, FIXED, STUDENT_T
-from insdvl_replay.nav.levelling import SensorNoise, Start
-from insdvl_replay.nav.measurements import (
-    DEPTH,
-    FIX,
-    HEADING,
-    PUBLISHED,
-    WINDOWED,
-    Measurement,
-    hold_out,
-    sensor_measurement,
-)
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.nav.measurements import DEPTH, FIX, HEADING, PUBLISHED, WINDOWED, Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER, NO_GAPS, Gaps
-from insdvl_replay.preparation.gaps import lever_arm_velocity_cov
+from insdvl_replay.preparation.notes import note
 
 NO_SENSORS: Final[Mapping[str, Measurement]] = MappingProxyType({})
 NO_READINGS: Final[Mapping[str, int]] = MappingProxyType({})
 FAR_M: Final = 1000.0  # neither a track reckoned until the start nor a position from a map is off by more
 SILENT_S, SILENT_READINGS = 30.0, 20.0  # a pause between readings is noted above this, and so many usual ones
-MEASUREMENT_NOISE: Final = {"fixed": FIXED, "adaptive": ADAPTIVE, "student-t": STUDENT_T}
+MEASUREMENT_NOISE: Final = {"fixed": kalman.FIXED, "adaptive": kalman.ADAPTIVE, "student-t": kalman.STUDENT_T}
+KINDS: Final = {"depth": DEPTH, "heading": HEADING, "position": FIX}
 KNOWN_M, UNKNOWN_M = 1e-3, 1e3  # sd of the depth sensor's zero: from the settings, or to be found by the first reading
 MORE_SD: Final[dict[str, Callable[[Config], tuple[float, ...]]]] = {  # of more states at the start, SI units
     "position": lambda config: config.initial.position_sd_m,
@@ -96,9 +89,9 @@ class ResolvedFilter:
         """Process noise, shape (n,), see `error_model.noise_density`."""
         return np.concatenate([noise_density(**asdict(self.inertial_noise)), self.more_density])
 
-    def sensor_noise(self, velocities: DvlVelocities) -> SensorNoise:
-        """Return the noise with which the level is found."""
-        return SensorNoise(self._velocity_cov(velocities), self.inertial_noise.accel_white_mps_rts)
+    def velocity_cov(self, velocities: DvlVelocities) -> Floats:
+        """Return the covariance of each ping's velocity, shape (m, 3, 3), m^2/s^2."""
+        return velocity_cov(velocities, self.dvl_noise.sd_mps, for_one_beam=self.dvl_noise.key == "beam_sd_mps")
 
     def beam_sd_mps(self, velocities: DvlVelocities) -> float:
         """Return the noise of one beam; that of a velocity is the mean over its axes of what all beams make."""
@@ -118,51 +111,46 @@ class ResolvedFilter:
 
         In long gaps of the IMU the turn rate is unknown, and with it the velocity of the lever arm.
         """
-        arm_b, gate, reopen_after = mounting.lever_arm_b, self.gate(3), self.gate_reopen_after
-        cov_b = self._velocity_cov(velocities) + lever_arm_velocity_cov(gaps, velocities.time_ns, arm_b)
-        found = list[Measurement]()
+        arm_b, time_ns, found = mounting.lever_arm_b, velocities.time_ns, list[Measurement]()
+        cov_b = self.velocity_cov(velocities) + gaps.swing_cov(time_ns, arm_b)
+        from_velocities: dict[str, Any] = {"noise": self.measurement_noise, "reopen_after": self.gate_reopen_after}
         for word in (word for word in self.aiding if word not in self.held_out):
             if word == "velocity":
-                velocity = velocity_measurement(velocities, cov_b, gate, reopen_after)
-                found.append(replace(velocity, noise=self.measurement_noise))
+                found.append(replace(velocity_measurement(velocities, cov_b), **from_velocities))
             elif word == "beams":
                 if beams is None:
                     raise ConfigError(
                         f"filters.{self.name} is aided by beams, and the DVL gives velocities alone",
                         'aiding = ["velocity"]; dvl.kind and dvl.beam_velocity say where beams stand',
                     )
-                swing_cov_b = lever_arm_velocity_cov(gaps, beams.time_ns, arm_b)
-                by_beam = beam_measurements(beams, self.beam_sd_mps(velocities), self.gate(1), reopen_after)
+                swing_cov_b = gaps.swing_cov(beams.time_ns, arm_b)
+                by_beam = beam_measurements(beams, self.beam_sd_mps(velocities))
                 for beam in by_beam:
                     # All beams swing together and are used independently: together they must say as much as one.
                     swing_var = len(by_beam) * (swing_cov_b @ beam.direction_b @ beam.direction_b)
-                    cov = beam.cov + swing_var[:, None, None]
-                    found.append(replace(beam, cov=cov, noise=self.measurement_noise))
+                    found.append(replace(beam, cov=beam.cov + swing_var[:, None, None], **from_velocities))
             elif word == "acceleration":
+                settings = self.acceleration
+                windows = slope_windows(
+                    seconds(time_ns, time_ns[:1]), settings.window, settings.order, settings.max_window_gap_s
+                )
                 acceleration = acceleration_measurement(
                     velocities,
                     cov_b,
-                    kind=WINDOWED if self.acceleration.model == "windowed" else PUBLISHED,
-                    window=self.acceleration.window,
-                    order=self.acceleration.order,
-                    max_gap_s=self.acceleration.max_window_gap_s,
-                    sd_mps2=self.acceleration.sd_mps2,
+                    windows,
+                    kind=WINDOWED if settings.model == "windowed" else PUBLISHED,
+                    sd_mps2=settings.sd_mps2,
                     accel_white_mps_rts=self.inertial_noise.accel_white_mps_rts,
-                    gate=gate,
                 )
                 # Nor is one used whose window, or the reading at its ping, is in a gap.
-                width, time_ns = acceleration.velocity_weights.shape[1], velocities.time_ns
-                first = np.maximum(np.arange(len(time_ns)) - width + 1, 0)
-                seen = acceleration.available & ~gaps.overlap(time_ns[first], time_ns)
+                first = np.maximum(np.arange(len(time_ns)) - settings.window + 1, 0)
+                seen = windows.complete & ~gaps.overlap(time_ns[first], time_ns)
                 found.append(replace(acceleration, available=seen))
             else:
-                found.append(replace(sensors[word], gate=self.gate(sensors[word].size)))
-        held_out = (replace(sensors[word], name=f"{HELD_OUT}{sensors[word].name}") for word in self.held_out)
-        return (*found, *map(hold_out, held_out))
-
-    def _velocity_cov(self, velocities: DvlVelocities) -> Floats:
-        """Return the covariance of each ping's velocity, shape (m, 3, 3), m^2/s^2."""
-        return velocity_cov(velocities, self.dvl_noise.sd_mps, for_one_beam=self.dvl_noise.key == "beam_sd_mps")
+                found.append(sensors[word])
+        used = (replace(measurement, gate=self.gate(measurement.size)) for measurement in found)
+        names = ((sensors[word], f"{HELD_OUT}{sensors[word].name}") for word in self.held_out)
+        return (*used, *(replace(sensor, name=name).held_out() for sensor, name in names))
 
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
@@ -220,71 +208,39 @@ def prepare_sensors(
                 f"no reading of the {name} lies between the start of the replay and its end",
                 f"check {name}.stamp against imu.stamp, or widen --start and --end",
             )
-        time_ns, values, settings = columns.time_ns[inside], columns.values[inside], getattr(config, name)
+        time_ns, values = columns.time_ns[inside], columns.values[inside]
         notes += silence_notes(name, time_ns, start_ns, end_ns)
-        kind, values, sd, note = _MEASURED[name](values, settings, start, (int(time_ns[0]) - start_ns) / NS_PER_S)
-        notes += note
+        arm_m, late_s = (0.0, 0.0, 0.0), (int(time_ns[0]) - start_ns) / NS_PER_S
+        if name == "depth":
+            # The sensor's own zero is at the water's surface, or anywhere: values are below the ellipsoid.
+            arm_m, surface_m, sd = config.depth.lever_arm_m, config.depth.surface_height_m, [config.depth.sd_m]
+            if surface_m is None:
+                arm_down_m = float((start.mat_nb @ np.array(arm_m))[2])
+                surface_m = float(start.position[2]) - arm_down_m + float(values[0, 0])
+                notes.append(note("depth_zero", surface=surface_m, late=late_s))
+            values = values - surface_m
+        elif name == "heading":
+            sd = [config.heading.sd_deg * DEG]
+        else:
+            # Fixes have heights if these are used; the first must be where the vehicle can be.
+            arm_m, height_sd_m = config.position.lever_arm_m, config.position.height_sd_m
+            sd = [config.position.sd_m] * 2
+            away_m = float(np.hypot(*north_east_m(values[0], start.position, start.position)))
+            if away_m > FAR_M + FASTEST_MPS * late_s:
+                away_km, fix_deg = away_m / 1000.0, values[0, :2] / DEG
+                notes.append(note("position_contradiction", late=late_s, away=away_km, fix=fix_deg))
+            if height_sd_m is None:
+                values = values[:, :2]
+            else:
+                sd.append(height_sd_m)
         axes = SENSORS[name].components[: values.shape[1]]
-        measurement = sensor_measurement(name, SENSORS[name].unit, kind, time_ns, values, np.array(sd), axes=axes)
-        measurement.available[time_ns == used_ns.get(name)] = False
-        arm_b = np.array(getattr(settings, "lever_arm_m", (0.0, 0.0, 0.0)))
-        found[name] = replace(measurement, sensor=row, lever_arm_b=arm_b)
+        made = sensor_measurement(name, SENSORS[name].unit, KINDS[name], time_ns, values, np.array(sd), axes)
+        made.available[time_ns == used_ns.get(name)] = False
+        found[name] = replace(made, sensor=row, sensor_arm_b=np.array(arm_m))
     return found, tuple(notes)
 
 
-_Measured = tuple[int, Floats, tuple[float, ...], list[Note]]  # kind of prediction, values (k, s), their sd
-
-
-def _depth(depth_m: Floats, settings: Any, start: Start, late_s: float) -> _Measured:
-    """Return depths below the ellipsoid: the sensor's own zero is at the water's surface, or anywhere."""
-    surface_m, notes = settings.surface_height_m, list[Note]()
-    if surface_m is None:
-        arm_down_m = float((start.mat_nb @ np.array(settings.lever_arm_m))[2])
-        surface_m = float(start.position[2]) - arm_down_m + float(depth_m[0, 0])
-        text = (
-            f"depth: 0 is taken to be {surface_m:.3f} m above the ellipsoid, by the first reading, {late_s:.2f} s "
-            "after the start, and the height at the start; filters that are aided by it find out"
-        )
-        notes.append(Note("depth_zero", text, hint="depth.surface_height_m says it otherwise"))
-    return DEPTH, depth_m - surface_m, (settings.sd_m,), notes
-
-
-def _heading(heading: Floats, settings: Any, start: Start, late_s: float) -> _Measured:
-    return HEADING, heading, (settings.sd_deg * DEG,), []
-
-
-def _position(fixes: Floats, settings: Any, start: Start, late_s: float) -> _Measured:
-    """Return fixes, with heights if these are used; the first must be where the vehicle can be."""
-    notes, height_sd_m = list[Note](), settings.height_sd_m
-    away_m = float(np.hypot(*north_east_m(fixes[0], start.position, start.position)))
-    if away_m > FAR_M + FASTEST_MPS * late_s:
-        latitude_deg, longitude_deg = fixes[0, :2] / DEG
-        text = (
-            f"the first fix, {late_s:.2f} s after the start, is {away_m / 1000.0:.3g} km from it: at latitude "
-            f"{latitude_deg:.4f} deg, longitude {longitude_deg:.4f} deg"
-        )
-        hint = (
-            "position.latitude, position.longitude and position.angle_unit; or initial.latitude_deg and longitude_deg"
-        )
-        notes.append(Note("position_contradiction", text, 1, Severity.WARNING, hint))
-    if height_sd_m is None:
-        return FIX, fixes[:, :2], (settings.sd_m,) * 2, notes
-    return FIX, fixes, (settings.sd_m, settings.sd_m, height_sd_m), notes
-
-
-_MEASURED: Final[dict[str, Callable[[Floats, Any, Start, float], _Measured]]] = {
-    "depth": _depth,
-    "heading": _heading,
-    "position": _position,
-}
-
-
-def silence_notes(
-    name: str,
-    time_ns: TimeNs,  # (k,)
-    start_ns: int,
-    end_ns: int,
-) -> list[Note]:
+def silence_notes(sensor: str, time_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
     """Note the longest pause between readings where it is far longer than others; fixes come at the surface alone."""
     ends_ns = np.concatenate([[start_ns], time_ns, [end_ns]])
     length_s = np.diff(ends_ns) / NS_PER_S
@@ -294,20 +250,17 @@ def silence_notes(
         return []
     since_s, span_s = (int(ends_ns[longest]) - start_ns) / NS_PER_S, (end_ns - start_ns) / NS_PER_S
     until = "to the end" if longest == len(time_ns) else "on"
-    text = (
-        f"no reading of the {name} for {length_s[longest]:.0f} of {span_s:.0f} s, from {since_s:.0f} s after the start "
-        f"{until}"
-    )
-    severity = Severity.INFO if name == "position" else Severity.WARNING
-    return [Note(f"{name}_silent", text, severity=severity)]
+    severity = Severity.INFO if sensor == "position" else Severity.WARNING
+    values = {"length": length_s[longest], "span": span_s, "since": since_s, "until": until}
+    return [note("{sensor}_silent", severity=severity, sensor=sensor, **values)]
 
 
-def held_out_notes(config: Config) -> tuple[Note, ...]:
+def held_out_notes(config: Config) -> list[Note]:
     """Name the filters that a held-out sensor would aid."""
-    notes = list[Note]()
-    for sensor in config.evaluation.held_out:
-        if names := [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]:
-            text = f"the {sensor} is withheld, and does not aid {', '.join(names)}"
-            hint = f'take "{sensor}" out of evaluation.held_out'
-            notes.append(Note(f"{sensor}_held_out", text, severity=Severity.WARNING, hint=hint))
-    return tuple(notes)
+    aided = {
+        sensor: [name for name, filter_ in config.computed.items() if sensor in filter_.aiding]
+        for sensor in config.evaluation.held_out
+    }
+    return [
+        note("{sensor}_held_out", sensor=sensor, filters=", ".join(names)) for sensor, names in aided.items() if names
+    ]

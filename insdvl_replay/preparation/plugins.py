@@ -10,7 +10,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ from insdvl_replay.core.errors import ConfigError, Note, UserError, error_contex
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.runtime import plain
 from insdvl_replay.core.states import states_with
-from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.levelling import Start
@@ -38,6 +37,7 @@ from insdvl_replay.nav.user_measurement import (
     load_user_measurement,
 )
 from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
+from insdvl_replay.preparation.notes import note
 
 Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
 SHOWN: Final = "docs/own_measurement.md shows one"
@@ -69,12 +69,8 @@ def prepare_own_measurements(
     Their rows of the time line follow those of so many ``sensors``. Each prediction is tried at the start.
     """
     words = dict.fromkeys(word for filter_ in filters for word in filter_.aiding if ":" in word)
-    found, predictions, compiled, notes = (
-        dict[str, Measurement](),
-        dict[str, Predict](),
-        dict[str, Predict](),
-        list[Note](),
-    )
+    found, notes = dict[str, Measurement](), list[Note]()
+    predictions, compiled = dict[str, Predict](), dict[str, Predict]()
     for row, word in enumerate(words, start=FIRST_OTHER + sensors):
         own, readings = _asked(word, dive, config)
         readings = _inside(readings, [(start_ns, end_ns)])
@@ -86,15 +82,14 @@ def prepare_own_measurements(
             holds_height, found_notes = _tried_prediction(word, own, readings.values.shape[1], filter_, start)
             notes += found_notes
         notes += silence_notes(own.name, readings.time_ns, start_ns, end_ns)
-        measurement = _measurement(own.name, own.unit, readings)
-        found[word] = replace(measurement, sensor=row, holds_height=holds_height)
+        found[word] = replace(_measurement(own.name, own.unit, readings), sensor=row, holds_height=holds_height)
         predictions[word] = _uncompiled_prediction(word, own, SHOWN)
         if (prediction := compiled_prediction(own.predict)) is not None:
             compiled[word] = prediction
     for filter_ in filters:
-        rows = dict[str, str]()
+        words_of = dict[str, str]()
         for word in (word for word in filter_.aiding if word in found):
-            if (other := rows.setdefault(found[word].name, word)) != word:
+            if (other := words_of.setdefault(found[word].name, word)) != word:
                 raise ConfigError(
                     f"filters.{filter_.name} is aided by {other} and {word}, which both have a row "
                     f"'{found[word].name}' in the tables",
@@ -108,16 +103,7 @@ def prepare_own_measurements(
     for number, word in enumerate(order):
         predict = by_compiled if word in compiled else by_all
         found[word] = replace(found[word], kind=USER + number, predict=predict)
-    uncompiled = [
-        Note(
-            "own_measurement_plain",
-            f"the prediction of {word} cannot be compiled, and runs as it is: the filter takes long",
-            severity=Severity.WARNING,
-            hint="numbers, loops and numpy's functions of numbers can be compiled",
-        )
-        for word in words
-        if word not in compiled
-    ]
+    uncompiled = [note("own_measurement_plain", word=word) for word in words if word not in compiled]
     return found, (*uncompiled, *dict.fromkeys(notes))
 
 
@@ -159,7 +145,7 @@ def _called(word: str, own: UserMeasurement, what: str, call: Callable[[], _T], 
 
 def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:
     axes = COMPONENTS[:width] if (width := readings.values.shape[1]) > 1 else ()
-    return sensor_measurement(name, unit, USER, readings.time_ns, readings.values, readings.sd, axes=axes)
+    return sensor_measurement(name, unit, USER, readings.time_ns, readings.values, readings.sd, axes)
 
 
 def _inside(readings: UserReadings, spans: Sequence[tuple[int, int]]) -> UserReadings:
@@ -221,15 +207,12 @@ def _tried_prediction(
         with np.errstate(all="ignore"):
             differences[:, column] = (predicted(step)[0] - predicted(-step)[0]) / (2.0 * step[column])
 
-    notes, hint = (
-        list[Note](),
-        "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs",
-    )
+    notes = list[Note]()
+    at: dict[str, Any] = {"word": word, "filter": filter_.name}
     unwritten = np.flatnonzero((z == 0.0) & ~H.any(axis=1))
     if len(unwritten) or not H.any():
         left = f"z[{unwritten[0]}] and H[{unwritten[0]}]" if H.any() else "H"
-        text = f"{word} leaves {left} at zero where filters.{filter_.name} starts: its readings change nothing there"
-        notes.append(Note("own_measurement_jacobian", text, severity=Severity.WARNING, hint=hint))
+        notes.append(note("own_measurement_jacobian unwritten", left=left, **at))
     known = np.isfinite(differences)
     with np.errstate(invalid="ignore"):
         largest = np.abs(differences).max(axis=1, initial=0.0, where=known, keepdims=True)
@@ -237,11 +220,10 @@ def _tried_prediction(
     wrong = np.argwhere(off & (H != 0.0) & known & np.isfinite(H))
     if len(wrong):
         row, column = wrong[0]
-        text = (
-            f"H of {word} contradicts its z where filters.{filter_.name} starts: H[{row}, {column}] is "
-            f"{H[row, column]:.3g}, and z changes by {differences[row, column]:.3g}"
+        given, found = H[row, column], differences[row, column]
+        notes.append(
+            note("own_measurement_jacobian wrong", len(wrong), row=row, column=column, given=given, found=found, **at)
         )
-        notes.append(Note("own_measurement_jacobian", text, len(wrong), Severity.WARNING, hint))
     return bool(np.any(np.abs(H[:, DOWN]) > 0.5)), notes
 
 
@@ -324,10 +306,10 @@ def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outag
         return readings
 
     def is_same(together: UserReadings, alone: UserReadings) -> bool:
-        if not np.array_equal(together.time_ns, alone.time_ns):
-            return False
         pairs = (together.values, alone.values), (together.sd, alone.sd)
-        return all(bool(np.all(np.abs(a - b) <= ALIKE * alone.sd)) for a, b in pairs)
+        return np.array_equal(together.time_ns, alone.time_ns) and all(
+            bool(np.all(np.abs(a - b) <= ALIKE * alone.sd)) for a, b in pairs
+        )
 
     alone = cache(lambda outage: asked([outage], outage[1]))
     compared = outages[0], min(outages, key=lambda outage: outage[1] - outage[0]), outages[-1]
@@ -336,7 +318,5 @@ def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outag
         parts = [alone(outage) for outage in outages]
         columns = ([getattr(part, name) for part in parts] for name in ("time_ns", "values", "sd"))
         readings = UserReadings(*map(np.concatenate, columns))
-    measurement = _measurement(whole.name, whole.unit, readings)
-    return replace(
-        measurement, kind=whole.kind, sensor=whole.sensor, predict=whole.predict, holds_height=whole.holds_height
-    )
+    made = _measurement(whole.name, whole.unit, readings)
+    return replace(whole, valid_ns=made.valid_ns, values=made.values, cov=made.cov, available=made.available)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from msgspec.structs import replace as changed
@@ -11,15 +11,24 @@ from msgspec.structs import replace as changed
 from insdvl_replay import logs
 from insdvl_replay.checks.reference import plausibility_notes
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns, nanoseconds, seconds
+from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    TimeNs,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
-from insdvl_replay.core.states import DEG
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import DvlMounting, moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, dvl_beams, dvl_velocities
+from insdvl_replay.nav.earth_model import HOLD_AFTER_S
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.alignment import Alignment, align
@@ -30,11 +39,13 @@ from insdvl_replay.preparation.filters import (
     prepare_sensors,
     resolve_filters,
 )
-from insdvl_replay.preparation.gaps import apply_gap_policy, find_gaps
+from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import prepare_own_measurements
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
 RESIDUAL_HINT: Final = "dvl.max_beam_residual_mps several times the noise of a beam, or leave it out"
+LONGEST_BRIDGE_S: Final = 3600.0  # through a longer gap the line between two readings says nothing
+WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0  # where an attitude may be off by more, errors no longer add up
 IN_LINE: Final = np.eye(3)  # the axes of the reference are those of the IMU
 
 
@@ -142,7 +153,8 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
         raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
     mounting = dvl_mounting(config)
-    velocities, ping_notes = _velocities(dive, mounting, config.dvl.max_beam_residual_mps)
+    velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
+    notes = _ping_notes(dive, velocities, config.dvl.max_beam_residual_mps)
     start_ns, end_ns = _span(dive, velocities, config)
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with error_context(dive.name):
@@ -154,39 +166,34 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         sensors, sensor_notes = prepare_sensors(dive.sensors, config, start, start_ns, end_ns, alignment.used_ns)
         own, own_notes = prepare_own_measurements(dive, config, filters, len(sensors), start, start_ns, end_ns)
     inside = velocities.within(start_ns, end_ns)
-    outside = len(velocities.time_ns) - len(inside.time_ns)
     if not len(inside.time_ns):
         raise LogError(
             f"{dive.name}: no DVL velocity lies between the start of the replay and its end",
             "check dvl.stamp and reference.stamp against imu.stamp, or widen --start and --end",
         )
-    text = f"pings before the start of the replay or after its end: {outside}"
+    notes += [*gap_notes, *alignment.notes]
+    if outside := len(velocities.time_ns) - len(inside.time_ns):
+        notes.append(note("dvl_outside_span", outside))
     in_span = {
         name: columns.rows((columns.time_ns >= start_ns) & (columns.time_ns <= end_ns))
         for name, columns in dive.sensors.items()
     }
-    notes = (
-        *ping_notes,
-        *gap_notes,
-        *alignment.notes,
-        *([Note("dvl_outside_span", text, outside)] if outside else []),
+    notes += [
         *sensor_notes,
         *held_out_notes(config),
         *contradiction_notes(in_span, dive.reference, config.depth),
         *depth_at_start_notes(in_span, dive.reference, alignment.row, config),
         *own_notes,
-    )
+    ]
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, start_ns, end_ns) if by_beams else None
-    return Prepared(
-        inside, alignment, end_ns, gaps.within(start_ns, end_ns), mounting, filters, beams, sensors | own, notes
-    )
+    gaps = gaps.within(start_ns, end_ns)
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, tuple(notes))
 
 
-def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> tuple[DvlVelocities, list[Note]]:
-    """Solve the pings, and count those that gave no velocity."""
-    velocities, notes = dvl_velocities(dive.dvl, mounting, limit_mps or np.inf), list[Note]()
-    solved, bad = len(velocities.time_ns), velocities.pings_with_bad_residual
+def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) -> list[Note]:
+    """Count the pings that gave no velocity; LogError if none did."""
+    solved, bad, notes = len(velocities.time_ns), velocities.pings_with_bad_residual, list[Note]()
     if not solved and bad:
         text = f"{dive.name}: the beams of all {bad} solved pings disagree by more than {limit_mps:g} m/s"
         raise LogError(text, RESIDUAL_HINT)
@@ -196,18 +203,13 @@ def _velocities(dive: Dive, mounting: DvlMounting, limit_mps: float | None) -> t
             "three valid beams, or a finite bottom-track velocity, are needed; was the seabed in range?",
         )
     if lost := velocities.pings_without_velocity:
-        text = f"pings with fewer than three valid beams or no finite velocity: {lost}"
-        notes.append(Note("dvl_no_velocity", text, lost))
+        notes.append(note("dvl_no_velocity", lost))
     if bad:
-        text = f"pings whose beams disagree by more than {limit_mps:g} m/s: {bad}"
-        if bad > MOST_DROPPED * (bad + solved):
-            text = f"{text} of {bad + solved}, most of them"
-            notes.append(Note("dvl_bad_residual", text, bad, Severity.WARNING, RESIDUAL_HINT))
-        else:
-            notes.append(Note("dvl_bad_residual", text, bad))
+        most = " most" if bad > MOST_DROPPED * (bad + solved) else ""
+        notes.append(note(f"dvl_bad_residual{most}", bad, limit=limit_mps, solved=bad + solved, hint=RESIDUAL_HINT))
     if three := int(np.sum(velocities.beams_used == 3)):
-        notes.append(Note("dvl_three_beams", f"pings solved from three beams, without a check: {three}", three))
-    return velocities, notes
+        notes.append(note("dvl_three_beams", three))
+    return notes
 
 
 def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
@@ -231,3 +233,68 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
             "are both stamped by the same clock? try --set imu.stamp=log_time --set dvl.stamp=log_time",
         )
     return start_ns, end_ns
+
+
+# --- Long gaps of the IMU, and long outages of the DVL.
+
+
+def find_gaps(time_ns: TimeNs, imu: Imu) -> Gaps:
+    """Find the pauses between samples that are too long to be bridged like others.
+
+    In a gap the readings are the line between its two ends. The true force and rate are unknown there, and an error
+    that lasts from end to end is the worst of them: its density ``sd^2 T`` gives the deviation ``sd T`` after a gap T.
+    """
+    rows = np.flatnonzero(np.diff(time_ns) > nanoseconds(imu.max_gap_s))
+    start_ns, end_ns = time_ns[rows], time_ns[rows + 1]
+    length_s = seconds(end_ns, start_ns)[:, None]
+    density = np.zeros((len(rows), len(STATES)))
+    density[:, DV] = imu.gap_accel_mps2**2 * length_s
+    # An attitude is unknown by half a turn at most, however long the gap is.
+    density[:, PHI] = np.minimum(imu.gap_rate_degps * DEG * length_s, np.pi) ** 2 / length_s
+    return Gaps(start_ns, end_ns, density, imu.gap_rate_degps * DEG)
+
+
+def apply_gap_policy(
+    gaps: Gaps, imu: Imu, start_ns: int, end_ns: int, origin_ns: int
+) -> tuple[int, int, tuple[Note, ...]]:
+    """Bridge or split at the long gaps of a span; return the span that is left, ns, with notes."""
+
+    def described(gaps: Gaps) -> str:
+        count, first_s = len(gaps.start_ns), (int(gaps.start_ns[0]) - origin_ns) * 1e-9
+        return (
+            f"the IMU has {count} gap{'s' * (count > 1)} longer than {imu.max_gap_s:g} s, the first at {first_s:.1f} "
+            f"s, the longest of {gaps.length_s.max():.1f} s, {gaps.length_s.sum():.1f} s in all"
+        )
+
+    bridged, notes = gaps.within(start_ns, end_ns), list[Note]()
+    turned_rad = bridged.rate_sd_radps * bridged.length_s  # what the vehicle may have turned, unseen
+    split = bridged if imu.long_gaps == "split" else bridged.where(turned_rad > WIDEST_ATTITUDE_RAD)
+    if len(split.start_ns):
+        kept_ns = split.longest_stretch(start_ns, end_ns)
+        from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
+        left_out_s = (end_ns - start_ns - kept_ns[1] + kept_ns[0]) * 1e-9
+        hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
+        if imu.long_gaps == "grow":
+            unknown_deg = turned_rad.max() / DEG
+            why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {unknown_deg:.0f} deg)"
+            hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
+        values: dict[str, Any] = {"start": from_s, "end": to_s, "left_out": left_out_s, "why": why, "hint": hint}
+        notes.append(note("imu_split", len(split.start_ns), gaps=described(split), **values))
+        (start_ns, end_ns), bridged = kept_ns, bridged.within(*kept_ns)
+    if count := len(bridged.start_ns):
+        hint = "--set imu.long_gaps=split replays the longest part without"
+        if bridged.length_s.max() > LONGEST_BRIDGE_S:
+            raise LogError(f"{described(bridged)}; over {LONGEST_BRIDGE_S:g} s nothing can bridge it", hint)
+        notes.append(note("imu_long_gaps", count, gaps=described(bridged), hint=hint))
+    return start_ns, end_ns, tuple(notes)
+
+
+def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
+    """State that gravity is held in long outages of the DVL, and how long standard deviations hold in them."""
+    ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
+    length_ns = np.diff(ends_ns)
+    count, longest = int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))), int(np.argmax(length_ns))
+    if not count:
+        return []
+    longest_s, since_s = length_ns[longest] / NS_PER_S, (ends_ns[longest] - start_ns) / NS_PER_S
+    return [note("dvl_outages", count, held=HOLD_AFTER_S, longest=longest_s, since=since_s)]

@@ -40,6 +40,7 @@ from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.outage import run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, in_outages
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.solutions import recorded_history
@@ -130,16 +131,23 @@ class Runs:
     notes: tuple[Note, ...]
 
 
-def plan_runs(dive: Dive, prepared: Prepared, config: Config) -> RunPlan:
+def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None) -> RunPlan:
     """Choose the times at which errors are judged, the windows without the DVL, and the number of starts."""
     span = prepared.alignment.start_ns, prepared.end_ns
-    starts = config.evaluation.starts if dive.reference is not None else 0
-    judged_ns = judged_times(dive.reference, *span, filters=len(config.filters))
-    return RunPlan(judged_ns, outage_plan(prepared), starts, config.evaluation.seed)
+    starts = config.evaluation.starts if starts is None else starts
+    return RunPlan(
+        judged_times(dive.reference, *span, filters=len(config.filters)),
+        plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, *span),
+        starts if dive.reference is not None else 0,
+        config.evaluation.seed,
+    )
 
 
 def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
-    """Run every candidate over the dive, then the filters through windows without the DVL and from drawn starts."""
+    """Run every candidate over the dive, then the filters through windows without the DVL and from drawn starts.
+
+    A history holds all of P where errors are judged by it, and where a window begins.
+    """
     report_stage("running the filters")
     return_freed_memory()
     timeline, start = prepared_timeline(dive, prepared), prepared.alignment.start
@@ -150,20 +158,14 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
         RecordedSolution(name, settings, histories[0], plan.judged_ns) for name, settings in config.solutions.items()
     ]
     found = tuple(candidate.run(whole, start) for candidate in recorded)
-    outages = run_outages(dive, config, prepared, timeline, histories, plan.windows)
+    outages = run_outages(whole, config, histories, plan.windows)
     histories += found
-    drawn = run_from_drawn_starts(dive, prepared, plan.starts, plan.seed) if plan.starts else ()
+    drawn: tuple[DrawnErrors, ...] = ()
+    if plan.starts:
+        drawn = with_solutions(run_from_drawn_starts(dive, prepared, plan.starts, plan.seed), histories, dive)
     motions = {candidate.name: candidate.motion for candidate in recorded if candidate.motion is not None}
-    notes = tuple(note for candidate in recorded for note in candidate.notes)
-    return Runs(histories, with_solutions(drawn, histories, dive), outages, motions, notes)
-
-
-def run_filters(prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None) -> tuple[History, ...]:
-    """Run every filter over a dive, in the order of the settings; histories hold all of P at times, shape (c,)."""
-    report_stage("running the filters")
-    return _side_by_side(
-        timeline, partial(run_one, prepared=prepared, timeline=timeline, cov_ns=cov_ns), prepared.filters
-    )
+    notes = tuple(found_note for candidate in recorded for found_note in candidate.notes)
+    return Runs(histories, drawn, outages, motions, notes)
 
 
 def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]) -> tuple[T, ...]:
@@ -210,32 +212,16 @@ def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
     )
 
 
-# --- Windows without the DVL.
-
-
-def outage_plan(prepared: Prepared) -> OutagePlan:
-    """Choose the windows without the DVL; a history has to hold all of P at their ``start_ns``."""
-    start_ns, end_ns = prepared.alignment.start_ns, prepared.end_ns
-    return plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, start_ns, end_ns)
-
-
-def run_outages(
-    dive: Dive,
-    config: Config,
-    prepared: Prepared,
-    timeline: Timeline,
-    histories: tuple[History, ...],
-    plan: OutagePlan,
-) -> OutageRuns:
+def run_outages(dive: RunDive, config: Config, histories: tuple[History, ...], plan: OutagePlan) -> OutageRuns:
     """Run every filter through the windows of a plan, from its history, which holds P at their starts.
 
     User code is given the dive without the pings of each window.
     """
     report_stage("DVL outage test")
-    groups = list[tuple[Sequence[Outage], dict[str, Measurement], Timeline]]()
-    for windows, sensors in in_outages(dive, config, prepared.sensors, tuple(plan.windows_ns)):
-        outage_dive = None if sensors is prepared.sensors else replace(prepared, sensors=sensors)
-        line = timeline if outage_dive is None else prepared_timeline(dive, outage_dive)
+    prepared, groups = dive.prepared, list[tuple[Sequence[Outage], dict[str, Measurement], Timeline]]()
+    for windows, sensors in in_outages(dive.dive, config, prepared.sensors, tuple(plan.windows_ns)):
+        is_same = sensors is prepared.sensors
+        line = dive.timeline if is_same else prepared_timeline(dive.dive, replace(prepared, sensors=sensors))
         groups.append((windows, sensors, line))
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
@@ -244,16 +230,16 @@ def run_outages(
         (velocity,) = replace(filter_, aiding=("velocity",), held_out=()).measurements(*measured)
         for windows, sensors, line in groups:
             aiding = filter_.measurements(*measured, sensors, prepared.beams)
+            others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)
             run_on = partial(
-                run_outage, history, line, noise_density=filter_.noise_density,
-                measurements=(velocity, *(measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)),
+                run_outage, history, line, noise_density=filter_.noise_density, measurements=(velocity, *others),
                 lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
                 heading_bias_rate_hz=filter_.heading_bias_rate_hz,
             )  # fmt: skip
             found |= {window: outage_run(run_on(window)) for window in windows}
         return tuple(found[window] for window in plan.windows_ns)
 
-    runs = _side_by_side(timeline, outages, prepared.filters, histories)
+    runs = _side_by_side(dive.timeline, outages, prepared.filters, histories)
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
     return OutageRuns(
         plan, distance_m, {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)}
@@ -333,12 +319,7 @@ def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
     sds = (north, east, max(down, round(fitted.heading_sd_deg, HEADING_DIGITS)))
     started = _started(initial, fitted.heading_deg, fitted.gyro_bias_degph, misalignment_sd_deg=sds)
     prepared = prepare_dive(dive, changed(config, initial=started))
-    text = (
-        f"a heading of {fitted.heading_deg:.{HEADING_DIGITS}f} +- {fitted.heading_sd_deg:.2g} deg at the start, and a "
-        f"bias of {fitted.gyro_bias_degph:.{BIAS_DIGITS}f} +- {fitted.gyro_bias_sd_degph:.2g} deg/h of the gyro about "
-        "down, were fitted to the positions of the reference, which the tables then compare with"
-    )
-    return replace(prepared, notes=(*prepared.notes, Note("start_heading_fitted", text)))
+    return replace(prepared, notes=(*prepared.notes, note("start_heading_fitted", fitted=fitted)))
 
 
 def fitted_start(dive: Dive, config: Config) -> FittedStart:

@@ -28,6 +28,7 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, rpy_from_mat, vector_from_mat, wrap_angle
+from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.prepared import reference_at_imu
 
 LONGEST_STEP: Final = 2.5  # in usual steps: between samples that are further apart a solution gives nothing
@@ -44,23 +45,10 @@ def recorded_history(
     baseline: History,
     judged_ns: TimeNs,  # (c,) times at which errors are judged by P
 ) -> tuple[History, ReferenceColumns, tuple[Note, ...]]:
-    """Interpolate a solution at the times of the baseline.
+    """Move a solution to the IMU, align it with the baseline where it begins, and interpolate it at its times.
 
     With it come positions and velocities of each sample, as they were aligned, and notes: how it was aligned, what of
     the replay it covers, and what it does not give.
-    """
-    aligned, notes, is_turned = aligned_solution(name, solution, settings, imu, baseline)
-    history = history_of(name, aligned, baseline, judged_ns, is_turned=is_turned)
-    notes += _coverage_notes(name, aligned.motion, history)
-    return history, aligned.motion.without_attitude(), tuple(notes)
-
-
-def aligned_solution(
-    name: str, solution: SolutionColumns, settings: Solution, imu: ImuColumns, baseline: History
-) -> tuple[SolutionColumns, list[Note], bool]:
-    """Move a solution to the IMU, and align it with the baseline where it begins, as the settings ask for.
-
-    It has geographic positions then. Notes say what was done, the last value whether its heading was aligned, too.
     """
     key, notes, origin = f"filters.{name}.solution", list[Note](), baseline.position[0]
     if any(settings.lever_arm_m) and not solution.motion.has_attitude:
@@ -75,8 +63,7 @@ def aligned_solution(
         own = _heading_at(solution.motion.time_ns, solution.motion.mat_nb @ mat_br.T, at_ns)
         turn = float(wrap_angle(np.array(_heading_at(baseline.time_ns, baseline.mat_nb, at_ns) - own)))
         solution = _turned(solution, mat_from_rpy(np.array([0.0, 0.0, turn])))
-        text = f"{key}: turned by {turn / DEG:+.2f} deg to the heading of {baseline.filter} at its first attitude"
-        notes.append(Note("solution_turned", text))
+        notes.append(note("solution_turned", key=key, turn=turn / DEG, baseline=baseline.filter))
 
     def geographic(rows: Floats) -> Floats:
         """Return positions, with longitudes on the baseline's side of the 180th meridian."""
@@ -84,10 +71,8 @@ def aligned_solution(
         position[:, 1] = origin[1] + wrap_angle(position[:, 1] - origin[1])
         return position
 
-    motion = solution.motion
-    rows = motion.position if solution.way_n is None else solution.way_n
-    motion = replace(motion, position=in_blocks(geographic, rows, np.empty(rows.shape)))
-    solution = replace(solution, motion=motion, way_n=None)
+    rows = solution.motion.position if solution.way_n is None else solution.way_n
+    motion = replace(solution.motion, position=in_blocks(geographic, rows, np.empty(rows.shape)))
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
     if align != "none" and motion.has_position:
         # Its first position is moved to the baseline, and all others with it, in place.
@@ -103,15 +88,15 @@ def aligned_solution(
         )
         from_own = " from an origin of its own" if has_own_origin else ""
         moved = "" if has_own_origin else f", {np.linalg.norm(shift_n):.3g} m from where it was"
-        text = (
-            f"{key}: its positions{from_own} are laid on {baseline.filter} at the first of them, "
-            f"{(at_ns - int(baseline.time_ns[0])) / NS_PER_S:.2f} s after the start{moved}"
+        since_s = (at_ns - int(baseline.time_ns[0])) / NS_PER_S
+        notes.append(
+            note("solution_laid", key=key, origin=from_own, baseline=baseline.filter, since=since_s, moved=moved)
         )
-        notes.append(Note("solution_laid", text))
-    return replace(solution, motion=motion), notes, align == "heading"
+    history = _history(name, replace(solution, motion=motion), baseline, judged_ns, is_turned=align == "heading")
+    return history, motion.without_attitude(), (*notes, *_coverage_notes(key, motion, history))
 
 
-def history_of(
+def _history(
     name: str,
     solution: SolutionColumns,  # with geographic positions
     baseline: History,
@@ -240,26 +225,21 @@ def _interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Fl
     return found
 
 
-def _coverage_notes(name: str, motion: ReferenceColumns, history: History) -> Iterator[Note]:
+def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Iterator[Note]:
     """State what a solution does not give, or not all the time, and of what it gives no covariance."""
     start_ns, end_ns, shares = int(history.time_ns[0]), int(history.time_ns[-1]), dict[str, list[str]]()
     never = [quantity for quantity in QUANTITIES if not motion.known[quantity].any()]
     if never:
         severity = Severity.WARNING if len(never) == len(QUANTITIES) else Severity.INFO
-        text = f"filters.{name}.solution says nothing of {' and '.join(never)}"
-        yield Note("solution_lacks", text, len(never), severity)
+        yield note("solution_lacks", len(never), severity=severity, key=key, quantities=" and ".join(never))
     for quantity in (quantity for quantity in QUANTITIES if quantity not in never):
         share = covered_share(motion.time_ns, motion.known[quantity], start_ns, end_ns)
         if share < WELL_COVERED:
             shares.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
     for percent, quantities in shares.items():
-        text = (
-            f"{' and '.join(quantities)} of filters.{name}.solution cover {percent} % of the replay; it is judged on "
-            "that part, and the baseline beside it at the same instants"
-        )
-        yield Note("solution_coverage", text, len(quantities), Severity.WARNING, "--start and --end choose that part")
+        names = " and ".join(quantities)
+        yield note("solution_coverage", len(quantities), key=key, quantities=names, percent=percent)
     blocks = {"velocity": slice(0, 3), "attitude": slice(3, 6), "position": POSITION}
     lacking = [block for block, states in blocks.items() if not history.believed[states].any()]
     if lacking:
-        text = f"filters.{name}.solution does not say how sure it is of {' and '.join(lacking)}"
-        yield Note("solution_without_covariance", text, len(lacking))
+        yield note("solution_without_covariance", len(lacking), key=key, quantities=" and ".join(lacking))

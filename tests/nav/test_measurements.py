@@ -11,11 +11,16 @@ from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.geometry.frames import beam_vectors, solve_beams
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import matrix, rotate_back, vector
-from insdvl_replay.nav.dvl import DvlVelocities, acceleration_measurement, velocity_cov, velocity_measurement
+from insdvl_replay.nav.dvl import (
+    DvlVelocities,
+    acceleration_measurement,
+    slope_windows,
+    velocity_cov,
+    velocity_measurement,
+)
 from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.measurements import (
-    NEVER_REOPENED,
     PUBLISHED,
     VELOCITY,
     WINDOWED,
@@ -39,15 +44,12 @@ def measurement(kind: int, window: int = 1) -> Measurement:
         "",
         "",
         kind,
-        0,
-        np.ones(window, dtype=bool),
         np.arange(window),
         np.zeros((window, 3)),
         np.tile(np.eye(3), (window, 1, 1)),
-        np.inf,
-        NEVER_REOPENED,
-        np.zeros((window, window)),
-        np.zeros((window, window - 1)),
+        np.ones(window, dtype=bool),
+        velocity_weights=np.zeros((window, window)),
+        interval_weights=np.zeros((window, window - 1)),
     )
 
 
@@ -128,8 +130,8 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
         np.zeros(4, dtype=np.int64), np.full(4, np.nan), 0, 0,
     )  # fmt: skip
     windowed = acceleration_measurement(
-        velocities, velocity_cov(velocities, 0.02), kind=WINDOWED, window=4, order=1, max_gap_s=1.0,
-        sd_mps2=None, accel_white_mps_rts=0.2, gate=np.inf,
+        velocities, velocity_cov(velocities, 0.02), slope_windows(times_s, 4, 1, 1.0),
+        kind=WINDOWED, sd_mps2=None, accel_white_mps_rts=0.2,
     )  # fmt: skip
 
     def slope(dx: Floats) -> Floats:
@@ -172,10 +174,10 @@ def test_acceleration_noise_comes_from_the_dvl_and_the_accelerometer() -> None:
         np.zeros(m, dtype=np.int64), np.full(m, np.nan), 0, 0,
     )  # fmt: skip
     made = acceleration_measurement(
-        velocities, velocity_cov(velocities, s), kind=WINDOWED, window=3, order=1, max_gap_s=2.5,
-        sd_mps2=None, accel_white_mps_rts=white, gate=np.inf,
+        velocities, velocity_cov(velocities, s), slope_windows(np.arange(float(m)), 3, 1, 2.5),
+        kind=WINDOWED, sd_mps2=None, accel_white_mps_rts=white,
     )  # fmt: skip
     # n = 3 at 1 Hz: c = (-1/2, 0, 1/2), W = (1/2, 1/2).
     np.testing.assert_allclose(made.cov[4], (s**2 / 2 + white**2 / 2) * np.eye(3))
     assert made.available.tolist() == [False, False, True, True, True, True]
-    assert velocity_measurement(velocities, made.cov, 1.0, 5).available.all()
+    assert velocity_measurement(velocities, made.cov).available.all()

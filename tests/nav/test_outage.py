@@ -21,7 +21,7 @@ from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.outage import restart, run_outage
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.preparation.run import outage_plan, prepared_timeline, run_filters, run_one, run_outages
+from insdvl_replay.preparation.run import plan_runs, prepared_timeline, run_candidates, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.studies.montecarlo import make_setup, run_seed
 
@@ -271,7 +271,7 @@ def test_what_measures_the_velocity_down_holds_the_height(
 
 def test_every_beam_holds_the_height() -> None:
     beams = DvlBeams(np.arange(3), np.ones((3, 5)), np.eye(3)[[0, 1, 2, 2, 2]])
-    assert [one.holds_height for one in beam_measurements(beams, 0.01, np.inf, 0)] == [True] * 5
+    assert [one.holds_height for one in beam_measurements(beams, 0.01)] == [True] * 5
 
 
 def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
@@ -292,9 +292,7 @@ def test_nis_of_the_last_withheld_ping_is_that_of_a_filter_that_knows_its_noise(
     for run in range(60):
         dive = add_errors(world.exact, world.imu_errors, world.dvl_errors, run_seed(1, run))
         start = prepare_dive(dive, config)
-        timeline, plan = prepared_timeline(dive, start), outage_plan(start)
-        histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-        runs = run_outages(dive, config, start, timeline, histories, plan).runs["baseline"]
+        runs = run_candidates(dive, start, plan_runs(dive, start, config, starts=0), config).outages.runs["baseline"]
         nis.append(runs[-1].nis[-1])
     low, high = chi2.ppf([0.005, 0.995], 3 * len(nis)) / (3 * len(nis))
     assert low < np.mean(nis) / 3.0 < high
@@ -304,13 +302,12 @@ def test_windows_on_a_long_dive_run_in_threads_and_are_the_same(monkeypatch: pyt
     dive = simulate_dive("figure-eight", seed=4, duration_s=230.0, imu_rate_hz=20.0)
     config = Config()
     start = prepare_dive(dive, config)
-    timeline, plan = prepared_timeline(dive, start), outage_plan(start)
-    histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-    in_turn = run_outages(dive, config, start, timeline, histories, plan)
+    plan = plan_runs(dive, start, config, starts=0)
+    in_turn = run_candidates(dive, start, plan, config).outages
     monkeypatch.setattr("insdvl_replay.preparation.run.WORTH_A_THREAD", 0)
-    threaded = run_outages(dive, config, start, timeline, histories, plan)
+    threaded = run_candidates(dive, start, plan, config).outages
     assert list(threaded.runs) == [filter_.name for filter_ in start.filters]
     for name, runs in in_turn.runs.items():
         for one, other in zip(runs, threaded.runs[name], strict=True):
             np.testing.assert_array_equal(one.drift_n, other.drift_n)
-    assert (plan.start_ns >= start.alignment.start_ns + 99 * NS_PER_S).all()
+    assert (plan.windows.start_ns >= start.alignment.start_ns + 99 * NS_PER_S).all()

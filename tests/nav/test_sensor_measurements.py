@@ -54,7 +54,7 @@ def ins_off_by(dx: Floats) -> InsAtPing:
 
 def of_kind(kind: int, reading: Floats) -> Measurement:
     made = sensor_measurement("", "", kind, np.arange(1), reading[None], np.ones(len(reading)))
-    made.lever_arm_b[:] = ARM_B
+    made.sensor_arm_b[:] = ARM_B
     return made
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.nav.earth_model import HOLD_AFTER_S, GravityHeight, followed
-from insdvl_replay.preparation.gaps import outage_notes
+from insdvl_replay.preparation.prepared import outage_notes
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive

@@ -16,7 +16,7 @@ from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.run import prepared_timeline, run_filters
+from insdvl_replay.preparation.run import prepared_timeline, run_one
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors, ImuErrors, LostBeam, SensorErrors
@@ -52,7 +52,8 @@ def settings(gate_probability: float = 1.0) -> Config:
 def histories(dive: Dive, config: Config) -> tuple[History, ...]:
     prepared = prepare_dive(dive, config)
     timeline = prepared_timeline(dive, prepared)
-    return run_filters(prepared, timeline, cov_ns=timeline.event_ns[-1:])
+    last_ns = timeline.event_ns[-1:]
+    return tuple(run_one(filter_, prepared, timeline, cov_ns=last_ns) for filter_ in prepared.filters)
 
 
 def met(history: History, name: str) -> Innovations:
@@ -184,7 +185,8 @@ def test_a_filter_that_is_lost_is_set_to_its_beams_again() -> None:
     start = prepared.alignment.start
     off = replace(start, velocity_n=start.velocity_n + np.array([2.0, -2.0, 0.3]))
     prepared = replace(prepared, alignment=replace(prepared.alignment, start=off))
-    by_velocity, by_beams = run_filters(prepared, prepared_timeline(dive, prepared))
+    timeline = prepared_timeline(dive, prepared)
+    by_velocity, by_beams = (run_one(filter_, prepared, timeline) for filter_ in prepared.filters)
     np.testing.assert_allclose(by_beams.velocity_n[-1], by_velocity.velocity_n[-1], rtol=0.0, atol=0.05)
 
 

@@ -9,7 +9,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.outage_test import window_ends
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import outage_plan, prepared_timeline, run_filters, run_outages
+from insdvl_replay.preparation.run import plan_runs, run_candidates
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
 RUNS = ("01", "02", "05", "07", "08", "09", "11", "12")
@@ -24,11 +24,10 @@ def drifts_m(snapir: Path, preset: str, *overrides: str) -> dict[str, Floats]:
     for run in RUNS:
         dive = with_reference_at_imu(read_checked_dive(snapir / f"snapir_{run}.mcap", config), config)
         start = prepare_dive(dive, config)
-        timeline, plan = prepared_timeline(dive, start), outage_plan(start)
-        histories = run_filters(start, timeline, cov_ns=plan.start_ns)
-        coasts = run_outages(dive, config, start, timeline, histories, plan)
+        plan = plan_runs(dive, start, config, starts=0)
+        coasts = run_candidates(dive, start, plan, config).outages
         for name in coasts.runs:
-            drifts.setdefault(name, []).append(window_ends(coasts, name, plan.shown).drift_m)
+            drifts.setdefault(name, []).append(window_ends(coasts, name, plan.windows.shown).drift_m)
     return {name: np.concatenate(of_dives) for name, of_dives in drifts.items()}
 
 

@@ -21,7 +21,7 @@ from insdvl_replay.core.states import BA, BG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
 from insdvl_replay.logs.write import write_dive
-from insdvl_replay.nav.measurements import NEVER_REOPENED, PUBLISHED, VELOCITY, Measurement
+from insdvl_replay.nav.measurements import PUBLISHED, VELOCITY, Measurement
 from insdvl_replay.nav.observability import (
     NominalPings,
     analyse,
@@ -149,10 +149,6 @@ def test_rows_are_in_units_of_the_measurements_noise() -> None:
         valid_ns=np.arange(2),
         values=np.zeros((2, 3)),
         cov=np.tile(cov_b, (2, 1, 1)),
-        velocity_weights=np.zeros((2, 1)),
-        interval_weights=np.zeros((2, 0)),
-        gate=np.inf,
-        reopen_after=NEVER_REOPENED,
     )
     rows = whitened_rows(pings, measurement, np.array([1.0, 0.0, 0.0]))
     H = np.hstack([np.eye(3), np.zeros((3, 6)), -skew(np.array([1.0, 0.0, 0.0]))])
@@ -304,8 +300,8 @@ def random_measurements(pings: int) -> list[Measurement]:
     for kind in (VELOCITY, PUBLISHED):
         root = rng.normal(size=(pings, 3, 3))
         cov_b = root @ np.swapaxes(root, 1, 2) + 0.1 * np.eye(3)
-        nothing = (np.zeros((pings, 3)), cov_b, np.inf, 0, np.zeros((pings, 1)), np.zeros((pings, 0)))
-        found.append(Measurement("", "", kind, 0, rng.random(pings) < 0.7, np.arange(pings), *nothing))
+        available, values = rng.random(pings) < 0.7, np.zeros((pings, 3))
+        found.append(Measurement("", "", kind, np.arange(pings), values, cov_b, available))
     return found
 
 

@@ -11,7 +11,7 @@ from made_verdicts import judged
 
 from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
-from insdvl_replay.preparation.gaps import outage_notes
+from insdvl_replay.preparation.prepared import outage_notes
 
 UNSOUND = {"aided": "aided rejected 209 of 300"}
 CAUTIOUS = {"of_aided": "conservative", "of_baseline": "conservative"}
