@@ -5,12 +5,12 @@ One loop serves every filter. The measurements of a filter are a tuple.
 
 import math
 from collections.abc import Collection
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.runtime import compiled, inlined, is_compiled, plain
 from insdvl_replay.core.states import states_with
@@ -25,7 +25,7 @@ from insdvl_replay.nav.algebra import (
     write_row_matrix,
     write_row_vector,
 )
-from insdvl_replay.nav.earth_model import NOWHERE, GravityHeight, followed, gravity_at, local_earth_near
+from insdvl_replay.nav.earth_model import HOLD_AFTER_S, NOWHERE, GravityHeight, followed, gravity_at, local_earth_near
 from insdvl_replay.nav.error_model import (
     TWELVE,
     TWELVE_ALONE,
@@ -52,7 +52,7 @@ from insdvl_replay.nav.kalman import (
     update_cov,
 )
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.measurements import BEAM, DEPTH, InsAtPing, Measurement, Stack, linearise, stacked
+from insdvl_replay.nav.measurements import BEAM, DEPTH, InsNow, Measurement, Memory, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import NavState, propagate
 from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
 from insdvl_replay.nav.user_measurement import Predicts
@@ -69,6 +69,8 @@ SOON_S: Final = 60.0
 class Records(NamedTuple):
     """The navigation state at the recorded events, and P at some."""
 
+    cov_row: NDArray[np.int64]  # row in ``cov``, -1 for none
+    cov: Floats
     position: Floats
     corrected: Floats  # sum of all corrections of the position; without rows where a filter makes none
     velocity_n: Floats
@@ -77,8 +79,6 @@ class Records(NamedTuple):
     gyro_bias_b: Floats
     constants: Floats
     sd: Floats
-    cov_row: NDArray[np.int64]  # row in ``cov``, -1 for none
-    cov: Floats
 
 
 class Updates(NamedTuple):
@@ -87,16 +87,16 @@ class Updates(NamedTuple):
     innovation: Floats
     sd: Floats
     nis: Floats
+    log_det: Floats
     used: NDArray[np.bool_]
     reopened: NDArray[np.bool_]  # used in spite of the gate
-    log_det: Floats
     rejected_in_a_row: NDArray[np.int64]
     rejected_s: Floats  # time of the last rejection
-    used_s: Floats  # time of the last reading that was used
     reopened_s: Floats  # time of the last that was used in spite of the gate
-    noise_factor: Floats  # factor of R, as far as it is more than chance
+    used_s: Floats  # time of the last reading that was used
+    noise_var: Floats  # of `noise_found`, by chance
     noise_found: Floats  # factor of R by the innovations
-    noise_var: Floats  # its variance by chance
+    noise_factor: Floats  # the same, as far as it is more than chance
 
 
 class Matrices(NamedTuple):
@@ -104,6 +104,8 @@ class Matrices(NamedTuple):
 
     P: Floats
     P_by_row: Floats  # the same memory
+    start_var: Floats  # diagonal of P0
+    constants: Floats  # of the sensors
     H: Floats
     HP: Floats
     KT: Floats
@@ -114,16 +116,6 @@ class Matrices(NamedTuple):
     z: Floats
     standardised: Floats
     dx: Floats
-    start_var: Floats  # diagonal of P0
-    constants: Floats  # of the sensors
-
-
-class Memory(NamedTuple):
-    """Past pings, for windows, see `measurements.InsAtPing`."""
-
-    rate_nb_b: Floats
-    rate_eb_b: Floats
-    velocity_change_b: Floats
 
 
 def run_filter(
@@ -142,8 +134,6 @@ def run_filter(
 
     Parameters
     ----------
-    timeline : Timeline
-        Nodes with readings, pings and what to record.
     start : Start
         State and uncertainty at the first node, of n states.
     noise_density : ndarray, shape (12,) or (n,)
@@ -166,40 +156,32 @@ def run_filter(
     density = (*noise_density.tolist(), *[0.0] * (n - len(noise_density)))
     time_ns = timeline.event_ns[recorded]
     keep_cov, rows = np.isin(time_ns, () if cov_ns is None else cov_ns), len(time_ns)
-    records = Records(
-        position=np.empty((rows, 3)),
-        corrected=np.empty((rows if layout.position >= 0 else 0, 3)),
-        velocity_n=np.empty((rows, 3)),
-        mat_nb=np.empty((rows, 3, 3)),
-        accel_bias_b=np.empty((rows, 3)),
-        gyro_bias_b=np.empty((rows, 3)),
-        constants=np.empty((rows, len(start.constants))),
-        sd=np.empty((rows, n)),
-        cov_row=np.where(keep_cov, np.cumsum(keep_cov) - 1, -1),
-        cov=np.empty((int(keep_cov.sum()), n, n)),
-    )
+    vectors, of_states = (rows, 3), ((rows, len(start.constants)), (rows, n))
+    corrected = (rows if layout.position >= 0 else 0, 3)
+    shapes = vectors, corrected, vectors, (rows, 3, 3), vectors, vectors, *of_states
+    cov_row, cov = np.where(keep_cov, np.cumsum(keep_cov) - 1, -1), np.empty((int(keep_cov.sum()), n, n))
+    records = Records(cov_row, cov, *map(np.empty, shapes))
     count, readings, width = stack.values.shape
+    components, singles = (count, readings, width), (count, readings)
     updates = Updates(
-        innovation=np.full((count, readings, width), np.nan),
-        sd=np.full((count, readings, width), np.nan),
-        nis=np.full((count, readings), np.nan),
-        used=np.zeros((count, readings), dtype=np.bool_),
-        reopened=np.zeros((count, readings), dtype=np.bool_),
-        log_det=np.full((count, readings), np.nan),
-        rejected_in_a_row=np.zeros(count, dtype=np.int64),
+        innovation=np.full(components, np.nan),
+        sd=np.full(components, np.nan),
+        nis=np.full(singles, np.nan),
+        log_det=np.full(singles, np.nan),
+        used=np.zeros(singles, np.bool_),
+        reopened=np.zeros(singles, np.bool_),
+        rejected_in_a_row=np.zeros(count, np.int64),
         rejected_s=np.full(count, -np.inf),
-        used_s=np.zeros(count),
         reopened_s=np.full(count, -np.inf),
-        noise_factor=np.ones(count),
-        noise_found=np.ones(count),
+        used_s=np.zeros(count),
         noise_var=np.zeros(count),
+        noise_found=np.ones(count),
+        noise_factor=np.ones(count),
     )
     P, size = np.array(start.cov, order="C"), max(3, width)
-    (H, HP, KT, rest), (R, S, L), (z, standardised) = (
-        np.zeros((4, size, n)), np.zeros((3, size, size)), np.zeros((2, size))
-    )  # fmt: skip
     start_var, constants = np.diag(start.cov).copy(), start.constants.copy()
-    matrices = Matrices(P, P.ravel(), H, HP, KT, rest, R, S, L, z, standardised, np.zeros(n), start_var, constants)
+    scratch = map(np.zeros, (*[(size, n)] * 4, *[(size, size)] * 3, (size,), (size,), (n,)))
+    matrices = Matrices(P, P.ravel(), start_var, constants, *scratch)
     state = NavState(
         vector(start.position),
         vector(start.velocity_n),
@@ -214,46 +196,37 @@ def run_filter(
     run(timeline, state, matrices, density, layout, rate_hz, stack, user, arm_b, memory, records, updates)
 
     innovations = []
-    for m, measurement in enumerate(measurements):
-        reading_ns = timeline.event_ns[timeline.rows[measurement.sensor] >= 0]
-        used_rows = np.flatnonzero(measurement.available)
+    for m, made in enumerate(measurements):
+        reading_ns, used = timeline.event_ns[timeline.rows[made.sensor] >= 0], np.flatnonzero(made.available)
+        found = {name: getattr(updates, name)[m, used] for name in ("nis", "used", "reopened", "log_det")}
+        components = {name: getattr(updates, name)[m, used, : made.size] for name in ("innovation", "sd")}
         innovations.append(
             Innovations(
-                measurement=measurement.name,
-                unit=measurement.unit,
-                axes=measurement.axes,
-                time_ns=reading_ns[used_rows],
-                valid_ns=measurement.valid_ns[used_rows],
-                measured=measurement.values[used_rows],
-                innovation=updates.innovation[m, used_rows, : measurement.size],
-                sd=updates.sd[m, used_rows, : measurement.size],
-                nis=updates.nis[m, used_rows],
-                used=updates.used[m, used_rows],
-                gate=measurement.gate,
-                reopen_after=measurement.reopen_after,
-                reopened=updates.reopened[m, used_rows],
-                log_det=updates.log_det[m, used_rows],
+                measurement=made.name,
+                unit=made.unit,
+                axes=made.axes,
+                time_ns=reading_ns[used],
+                valid_ns=made.valid_ns[used],
+                measured=made.values[used],
+                gate=made.gate,
+                reopen_after=made.reopen_after,
                 noise_factor=float(updates.noise_factor[m]),
-                holds_height=measurement.holds_height,
+                holds_height=made.holds_height,
+                **found,
+                **components,
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])
+    recorded_states = records._asdict()
+    del recorded_states["cov_row"]
     return History(
         filter=name,
         states=states,
         time_ns=time_ns,
         updated=timeline.ping[recorded] >= 0,
-        position=records.position,
-        velocity_n=records.velocity_n,
-        mat_nb=records.mat_nb,
-        accel_bias_b=records.accel_bias_b,
-        gyro_bias_b=records.gyro_bias_b,
-        sd=records.sd,
         cov_ns=time_ns[keep_cov],
-        cov=records.cov,
         innovations=tuple(innovations),
-        constants=records.constants,
-        corrected=records.corrected,
+        **recorded_states,
     )
 
 
@@ -348,15 +321,12 @@ def _run(  # noqa: C901
                 R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
                 z, standardised = matrices.z[:size], matrices.standardised[:size]
                 rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
-                ins = InsAtPing(
+                ins = InsNow(
                     state.position,
                     state.velocity_n,
                     state.mat_nb,
                     subtract(now.specific_force_b, state.accel_bias_b),
-                    timeline.rows[PINGS, now.event],
-                    memory.rate_nb_b,
-                    memory.rate_eb_b,
-                    memory.velocity_change_b,
+                    memory,
                     gravity_here,
                     lever_arm_b,
                     earth,
@@ -517,3 +487,101 @@ def open_state(
             P[position + i, position + i] += square * lost_s * lost_s
     updates.reopened_s[m] = time_s
     updates.rejected_in_a_row[m], updates.used_s[m] = 0, time_s
+
+
+# The DVL outage test: a filter continues from a ping that it has used, without the later ones. It starts from its
+# history at that ping, state and P, so that a window costs no more than its own length. The innovations of the missing
+# pings are computed all the same: they measure the drift, and their NIS the filter's consistency.
+
+
+def run_outage(
+    history: History,
+    timeline: Timeline,
+    window_ns: tuple[int, int],
+    measurements: tuple[Measurement, ...],
+    **settings: Any,
+) -> History:
+    """Run a filter through an outage of the DVL, without its velocities and accelerations; other sensors still aid.
+
+    Parameters
+    ----------
+    history : History
+        Of the filter with every ping; ValueError if it has no P at the start of the window.
+    window_ns : tuple of int
+        Times of the last ping that is used, and of the last one that is missing.
+    measurements : tuple of Measurement
+        The velocity, prepared for every ping of the dive, and those that do not come from the DVL.
+    **settings
+        As for the history, see `run_filter`.
+
+    Returns
+    -------
+    History
+        At the start of the window and at each missing ping. Its first innovations are those of the missing pings, none
+        of which is used; NIS is by the true R.
+    """
+    window, start = between_pings(timeline, *window_ns), restart(history, window_ns[0])
+    events, inside = slice(*np.searchsorted(timeline.event_ns, window_ns, side="right")), []
+    for measurement in measurements:
+        rows = timeline.rows[measurement.sensor, events]
+        rows = rows[rows >= 0]
+        inside.append(measurement.rows(slice(int(rows[0]), int(rows[-1]) + 1) if len(rows) else slice(0)))
+    velocity, *others = inside
+    kept = (velocity.held_out(), *(other for other in others if other.available.any()))
+    return run_filter(history.filter, window, start, measurements=kept, **settings)
+
+
+def restart(history: History, time_ns: int) -> Start:
+    """Return a start from a history at a time at which it has P; ValueError at others.
+
+    With twelve states its height is the one at which the filter takes gravity: after long times without a velocity,
+    the filter's own has drifted.
+    """
+    row, cov_row = (int(np.searchsorted(times, time_ns)) for times in (history.time_ns, history.cov_ns))
+    if cov_row == len(history.cov_ns) or history.cov_ns[cov_row] != time_ns:
+        raise ValueError(f"the history of {history.filter} holds no P at {time_ns}")
+    latitude, longitude, height_m = history.position[row]
+    if len(history.states) == TWELVE:
+        # The sum of the height's drifts while that of gravity was held, see `earth_model.GravityHeight`.
+        holding = [found.time_ns[found.used] for found in history.innovations if found.holds_height]
+        aided_ns = np.unique(np.concatenate([history.time_ns[:1], *holding]))
+        aided_ns = aided_ns[aided_ns <= time_ns]
+        held_ns = aided_ns[:-1] + int(HOLD_AFTER_S * NS_PER_S)
+        outages = held_ns < aided_ns[1:]
+        before = np.searchsorted(history.time_ns, held_ns[outages], side="right") - 1
+        after = np.searchsorted(history.time_ns, aided_ns[1:][outages])
+        height_m = height_m - float(np.sum(history.position[after, 2] - history.position[before, 2]))
+    return Start(
+        np.array([latitude, longitude, height_m]),
+        history.velocity_n[row],
+        history.mat_nb[row],
+        history.cov[cov_row],
+        history.accel_bias_b[row],
+        history.gyro_bias_b[row],
+        history.constants[row],
+    )
+
+
+def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
+    """Cut a time line from one ping to another, with rows counted from the one after the first.
+
+    It has the same nodes, but records only pings and the two ends.
+    """
+    events = slice(*np.searchsorted(timeline.event_ns, [start_ns, end_ns + 1]))
+    samples = slice(
+        np.searchsorted(timeline.sample_ns, start_ns, side="right") - 1,
+        np.searchsorted(timeline.sample_ns, end_ns) + 1,
+    )
+    is_ping = timeline.rows[PINGS, events] >= 0
+    rows = np.where(timeline.event_ns[events] > start_ns, timeline.rows[:, events], -1)
+    first = np.min(rows, axis=1, where=rows >= 0, initial=np.iinfo(np.int64).max, keepdims=True)
+    return Timeline(
+        timeline.sample_ns[samples],
+        timeline.specific_force_b[samples],
+        timeline.angular_rate_b[samples],
+        timeline.event_ns[events],
+        np.where(rows >= 0, rows - first, -1),
+        np.where(is_ping, np.cumsum(is_ping) - 1, -1),
+        timeline.gap[events],
+        timeline.gap_noise_density,
+    )

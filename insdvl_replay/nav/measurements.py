@@ -164,21 +164,26 @@ def stacked(measurements: Sequence[Measurement]) -> Stack:
     return Stack(available.astype(np.bool_), values, cov, velocity_weights, interval_weights, *by_measurement)
 
 
-class InsAtPing(NamedTuple):
-    """The INS when something is measured, and what it remembers of the pings until then."""
+class Memory(NamedTuple):
+    """What the INS remembers of each of m pings, for windows."""
+
+    rate_nb_b: Floats  # (m, 3), angular rate of the body against n, rad/s
+    rate_eb_b: Floats  # (m, 3), against the Earth
+    velocity_change_b: Floats  # (m, 3), added by the mechanisation since the ping before, m/s
+
+
+class InsNow(NamedTuple):
+    """The INS when something is measured, and the pings until then."""
 
     position: Vector  # latitude rad, longitude rad, height m
     velocity_n: Vector  # m/s
     mat_nb: tuple[Vector, Vector, Vector]
     specific_force_b: Vector  # compensated reading, m/s^2
-    ping: int  # row of the ping that is now, -1 for none
-    rate_nb_b: Floats  # (m, 3), angular rate of the body against n at each ping so far, rad/s
-    rate_eb_b: Floats  # (m, 3), against the Earth
-    velocity_change_b: Floats  # (m, 3), added by the mechanisation since the ping before, m/s
+    memory: Memory
     gravity: float  # m/s^2
     lever_arm_b: Vector  # IMU to DVL, m; the one place at which it enters the filter
     earth: LocalEarth
-    rate_eb_now_b: Vector  # angular rate of the body against the Earth, rad/s
+    rate_eb_b: Vector  # angular rate of the body against the Earth, rad/s
     constants: Floats  # (c,), values of the sensors' constants, in the order of their states
 
 
@@ -187,7 +192,7 @@ def linearise(
     measurements: Stack,
     m: int,
     row: int,
-    ins: InsAtPing,
+    ins: InsNow,
     layout: StateLayout,
     user: Predicts | None,
     z: Floats,
@@ -217,7 +222,7 @@ def linearise(
 
 @inlined
 def _linearise_dvl(
-    measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
+    measurements: Stack, m: int, row: int, ins: InsNow, layout: StateLayout, z: Floats, H: Floats
 ) -> None:
     kind, mat_bn = measurements.kind[m], transpose(ins.mat_nb)
     # The last measurement may have left something in the states beside the twelve.
@@ -235,12 +240,12 @@ def _linearise_dvl(
         n = measurements.velocity_weights.shape[2]
         first, predicted_b = row - n + 1, (0.0, 0.0, 0.0)
         for j in range(max(0, -first), n):
-            arm_velocity_b = cross(row_vector(ins.rate_eb_b, first + j), ins.lever_arm_b)
+            arm_velocity_b = cross(row_vector(ins.memory.rate_eb_b, first + j), ins.lever_arm_b)
             predicted_b = add(predicted_b, scale(measurements.velocity_weights[m, row, j], arm_velocity_b))
             if j > 0:
-                change_b = row_vector(ins.velocity_change_b, first + j)
+                change_b = row_vector(ins.memory.velocity_change_b, first + j)
                 predicted_b = add(predicted_b, scale(measurements.interval_weights[m, row, j - 1], change_b))
-        against_rate = skew(scale(-1.0, row_vector(ins.rate_nb_b, row)))
+        against_rate = skew(scale(-1.0, row_vector(ins.memory.rate_nb_b, row)))
         turning = compose(against_rate, velocity_turned)
         by_misalignment = (
             add(gravity_turned[0], turning[0]),
@@ -251,7 +256,7 @@ def _linearise_dvl(
         write_blocks((compose(against_rate, mat_bn), by_misalignment, IDENTITY, skew(velocity_b)), H)
     else:
         # The velocity at the DVL, C' v + w_eb x l. Beams may be heard without a ping of the velocity.
-        rate_eb_b = row_vector(ins.rate_eb_b, row) if kind == VELOCITY else ins.rate_eb_now_b
+        rate_eb_b = row_vector(ins.memory.rate_eb_b, row) if kind == VELOCITY else ins.rate_eb_b
         write_blocks((mat_bn, velocity_turned, ZERO, skew(scale(-1.0, ins.lever_arm_b))), H)
         predicted_b = add(rotate(mat_bn, ins.velocity_n), cross(rate_eb_b, ins.lever_arm_b))
     if layout.dvl_scale >= 0 or layout.dvl_yaw >= 0:
@@ -268,7 +273,7 @@ def _linearise_dvl(
 
 
 @inlined
-def _as_the_dvl_reads(predicted_b: Vector, ins: InsAtPing, layout: StateLayout, H: Floats) -> Vector:
+def _as_the_dvl_reads(predicted_b: Vector, ins: InsNow, layout: StateLayout, H: Floats) -> Vector:
     """Turn and scale a prediction as the DVL does, ``u <- (1 + k) R_z(psi)' u``, and its Jacobian likewise.
 
     For what is left of k and psi, true minus estimated, z then has ``-u / (1 + k)`` and ``(-u_y, u_x, 0)``.
@@ -293,7 +298,7 @@ def _as_the_dvl_reads(predicted_b: Vector, ins: InsAtPing, layout: StateLayout, 
 
 @inlined
 def _linearise_sensor(
-    measurements: Stack, m: int, row: int, ins: InsAtPing, layout: StateLayout, z: Floats, H: Floats
+    measurements: Stack, m: int, row: int, ins: InsNow, layout: StateLayout, z: Floats, H: Floats
 ) -> None:
     for i in range(len(z)):
         for j in range(H.shape[1]):
@@ -327,14 +332,12 @@ def _linearise_sensor(
 
 
 @inlined
-def _linearise_user(
-    measurements: Stack, m: int, row: int, ins: InsAtPing, user: Predicts, z: Floats, H: Floats
-) -> None:
+def _linearise_user(measurements: Stack, m: int, row: int, ins: InsNow, user: Predicts, z: Floats, H: Floats) -> None:
     """Let the user's prediction write z and H, and subtract the reading. No gate would reject an infinite z."""
     size, known = len(z), np.empty(INS_SIZE)
     for i in range(3):
         known[i], known[3 + i] = ins.position[i], ins.velocity_n[i]
-        known[15 + i], known[18 + i] = ins.specific_force_b[i], ins.rate_eb_now_b[i]
+        known[15 + i], known[18 + i] = ins.specific_force_b[i], ins.rate_eb_b[i]
         for j in range(3):
             known[6 + 3 * i + j] = ins.mat_nb[i][j]
     predicted, jacobian = np.zeros(size), np.zeros((size, H.shape[1]))

@@ -38,8 +38,8 @@ from insdvl_replay.nav.earth_model import (
     transport_rate_n,
 )
 from insdvl_replay.nav.error_model import TWELVE, TWELVE_ALONE, add_noise, over, propagate_cov, propagate_errors
-from insdvl_replay.nav.kalman import cholesky, innovation_cov, multiply, transposed_gain, update_cov
-from insdvl_replay.nav.measurements import InsAtPing, Measurement, Stack, linearise, stacked
+from insdvl_replay.nav.kalman import multiply
+from insdvl_replay.nav.measurements import InsNow, Measurement, Memory, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
 from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
 
@@ -69,8 +69,6 @@ def nominal_pings(
 
     Parameters
     ----------
-    timeline : Timeline
-        Nodes with readings and pings.
     nominal : History
         A row at each recorded event of the time line; from one to the next the motion is mechanised.
     noise_density : ndarray, shape (12,)
@@ -181,6 +179,22 @@ def jacobians(pings: NominalPings, measurement: Measurement, lever_arm_b: Floats
     return H
 
 
+@compiled
+def _write_jacobians(
+    measurement: Stack, rows: NDArray[np.int64], pings: NominalPings, lever_arm_b: Vector, H: Floats
+) -> None:
+    """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
+    unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)
+    memory, nothing = Memory(pings.rate_nb_b, unused_b, unused_b), np.empty(0)
+    for ping in rows:
+        velocity_n, mat_nb = row_vector(pings.velocity_n, ping), row_matrix(pings.mat_nb, ping)
+        gravity = pings.gravity[ping]
+        ins = InsNow(
+            unused, velocity_n, mat_nb, unused, memory, gravity, lever_arm_b, NOWHERE, unused, nothing
+        )  # fmt: skip
+        linearise(measurement, 0, ping, ins, TWELVE_ALONE, None, z, H[ping])
+
+
 @dataclass(frozen=True)
 class Observability:
     """Information of a stack of measurements about the errors at the start."""
@@ -237,32 +251,6 @@ def analyse(rows: Floats, prior_sd: Floats, tolerance: float = TOLERANCE) -> Obs
     return Observability(singular_values, directions * np.sign(largest), tolerance)
 
 
-@compiled
-def _write_jacobians(
-    measurement: Stack, rows: NDArray[np.int64], pings: NominalPings, lever_arm_b: Vector, H: Floats
-) -> None:
-    """Write the Jacobian of each ping. What only the innovation needs is left at zero."""
-    unused, unused_b, z = (0.0, 0.0, 0.0), np.zeros(pings.velocity_n.shape), np.empty(3)
-    nothing = np.empty(0)
-    for ping in rows:
-        ins = InsAtPing(
-            unused,
-            row_vector(pings.velocity_n, ping),
-            row_matrix(pings.mat_nb, ping),
-            unused,
-            ping,
-            pings.rate_nb_b,
-            unused_b,
-            unused_b,
-            pings.gravity[ping],
-            lever_arm_b,
-            NOWHERE,
-            unused,
-            nothing,
-        )
-        linearise(measurement, 0, ping, ins, TWELVE_ALONE, None, z, H[ping])
-
-
 def remaining_cov(
     pings: NominalPings, measurements: Sequence[Measurement], lever_arm_b: Floats, prior_sd: Floats
 ) -> Floats:
@@ -278,33 +266,17 @@ def remaining_cov(
     prior_sd : ndarray, shape (12,)
         Standard deviations of the states at the start, SI units.
     """
-    P = np.diag(np.square(prior_sd))
-    H = np.stack([jacobians(pings, measurement, lever_arm_b) for measurement in measurements])
-    cov_b = np.stack([measurement.cov for measurement in measurements])
-    available = np.stack([measurement.available for measurement in measurements])
-    _walk_cov(pings.step, pings.noise, H, cov_b, available, P)
-    return P
-
-
-@compiled
-def _walk_cov(steps: Floats, noises: Floats, H: Floats, cov_b: Floats, available: NDArray[np.bool_], P: Floats) -> None:
-    """Take P from ping to ping, in place."""
-    (HP, KT, rest), grown = np.empty((3, 3, TWELVE)), np.empty((TWELVE, TWELVE))
-    S, L = np.empty((2, 3, 3))
-    for ping in range(len(steps)):
-        multiply(steps[ping], P, grown)
-        for i in range(TWELVE):
-            for j in range(i + 1):
-                total = noises[ping, i, j]
-                for k in range(TWELVE):
-                    total += grown[i, k] * steps[ping, j, k]
-                P[i, j] = P[j, i] = total
-        for m in range(len(H)):
-            if available[m, ping]:
-                innovation_cov(P, H[m, ping], cov_b[m, ping], HP, S)
-                cholesky(S, L)
-                transposed_gain(HP, L, KT)
-                update_cov(P, H[m, ping], cov_b[m, ping], HP, KT, rest)
+    P, identity = np.diag(np.square(prior_sd)), np.eye(TWELVE)
+    jacobians_of = [jacobians(pings, measurement, lever_arm_b) for measurement in measurements]
+    for ping, (step, noise) in enumerate(zip(pings.step, pings.noise, strict=True)):
+        P = step @ P @ step.T + noise
+        for measurement, H_of in zip(measurements, jacobians_of, strict=True):
+            if measurement.available[ping]:
+                H, R = H_of[ping], measurement.cov[ping]
+                K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+                kept = identity - K @ H
+                P = kept @ P @ kept.T + K @ R @ K.T
+    return np.asarray(P)
 
 
 # Named directions of error, since straight and level motion hides them

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
@@ -34,10 +33,9 @@ from insdvl_replay.evaluation.outage_test import (
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.dvl import parity_innovations
-from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.filter import run_filter, run_outage
 from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.outage import run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.notes import note
@@ -185,17 +183,25 @@ def run_one(
         filter_.name,
         timeline,
         with_more_states(start, filter_.more_sd, filter_.constants, heading_bias=has_heading_bias),
-        filter_.noise_density,
-        filter_.measurements(prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors, prepared.beams),
-        prepared.mounting.lever_arm_b,
-        more_states=filter_.states,
-        heading_bias_rate_hz=filter_.heading_bias_rate_hz,
+        measurements=filter_.measurements(
+            prepared.velocities, prepared.mounting, prepared.gaps, prepared.sensors, prepared.beams
+        ),
         cov_ns=cov_ns,
+        **_filter_settings(filter_, prepared),
     )
     if prepared.beams is None or "beams" not in filter_.aiding:
         return history
     parity = parity_innovations(prepared.beams, filter_.beam_sd_mps(prepared.velocities))
     return replace(history, innovations=(*history.innovations, *parity))
+
+
+def _filter_settings(filter_: ResolvedFilter, prepared: Prepared) -> dict[str, Any]:
+    return {
+        "noise_density": filter_.noise_density,
+        "lever_arm_b": prepared.mounting.lever_arm_b,
+        "more_states": filter_.states,
+        "heading_bias_rate_hz": filter_.heading_bias_rate_hz,
+    }
 
 
 def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
@@ -231,12 +237,8 @@ def run_outages(dive: RunDive, config: Config, histories: tuple[History, ...], p
         for windows, sensors, line in groups:
             aiding = filter_.measurements(*measured, sensors, prepared.beams)
             others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)
-            run_on = partial(
-                run_outage, history, line, noise_density=filter_.noise_density, measurements=(velocity, *others),
-                lever_arm_b=prepared.mounting.lever_arm_b, more_states=filter_.states,
-                heading_bias_rate_hz=filter_.heading_bias_rate_hz,
-            )  # fmt: skip
-            found |= {window: outage_run(run_on(window)) for window in windows}
+            kept, settings = (velocity, *others), _filter_settings(filter_, prepared)
+            found |= {window: outage_run(run_outage(history, line, window, kept, **settings)) for window in windows}
         return tuple(found[window] for window in plan.windows_ns)
 
     runs = _side_by_side(dive.timeline, outages, prepared.filters, histories)

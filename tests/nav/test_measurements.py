@@ -24,8 +24,9 @@ from insdvl_replay.nav.measurements import (
     PUBLISHED,
     VELOCITY,
     WINDOWED,
-    InsAtPing,
+    InsNow,
     Measurement,
+    Memory,
     linearise,
     stacked,
 )
@@ -53,17 +54,14 @@ def measurement(kind: int, window: int = 1) -> Measurement:
     )
 
 
-def at_ping(dx: Floats) -> InsAtPing:
+def at_ping(dx: Floats) -> InsNow:
     """An INS whose errors are dx: estimated minus true."""
-    return InsAtPing(
+    return InsNow(
         POSITION,
         vector(VELOCITY_N + dx[:3]),
         matrix(Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB),
         vector(FORCE_B + dx[6:9]),
-        0,
-        (RATE_NB_B + dx[9:12])[None],
-        (RATE_NB_B + dx[9:12])[None],
-        np.zeros((1, 3)),
+        Memory((RATE_NB_B + dx[9:12])[None], (RATE_NB_B + dx[9:12])[None], np.zeros((1, 3))),
         GRAVITY,
         vector(ARM_B),
         local_earth_at(*POSITION[::2]),
@@ -88,7 +86,7 @@ def body_acceleration(dx: Floats) -> Floats:
     """The rate of the body velocity, f + C' g - w x C' v, whose errors the windowed slope has."""
     ins = at_ping(dx)
     mat_bn, gravity_n = np.array(ins.mat_nb).T, np.array([0.0, 0.0, GRAVITY])
-    turning = np.cross(ins.rate_nb_b[0], mat_bn @ np.array(ins.velocity_n))
+    turning = np.cross(ins.memory.rate_nb_b[0], mat_bn @ np.array(ins.velocity_n))
     return np.array(ins.specific_force_b) + mat_bn @ gravity_n - turning
 
 
@@ -137,9 +135,8 @@ def test_windowed_prediction_is_the_slope_of_what_the_ins_adds_and_its_jacobian_
     def slope(dx: Floats) -> Floats:
         body = Ins(dx).body_velocities(times_s)
         change = np.vstack([np.zeros(3), np.diff(body, axis=0)])
-        ins = at_ping(dx)._replace(
-            velocity_change_b=change, rate_nb_b=np.tile(RATE_NB_B, (4, 1)), rate_eb_b=np.tile(RATE_NB_B, (4, 1))
-        )
+        rates_b = np.tile(RATE_NB_B, (4, 1))
+        ins = at_ping(dx)._replace(memory=Memory(rates_b, rates_b, change))
         z, H = np.empty(3), np.full((3, 12), np.nan)
         linearise(stacked([windowed]), 0, 3, ins, layout_of(()), None, z, H)
         # A straight line through the body velocities themselves has the same slope.

@@ -16,9 +16,8 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.evaluation.outage_test import OutageRun, outage_run
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.nav.dvl import DvlBeams, beam_measurements
-from insdvl_replay.nav.filter import run_filter
+from insdvl_replay.nav.filter import restart, run_filter, run_outage
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.outage import restart, run_outage
 from insdvl_replay.nav.timeline import Timeline
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.run import plan_runs, prepared_timeline, run_candidates, run_one
@@ -256,7 +255,7 @@ def test_what_measures_the_velocity_down_holds_the_height(
     flight: Flight, monkeypatch: pytest.MonkeyPatch, holds_height: bool
 ) -> None:
     """After an outage its height has drifted; without a measurement of it nothing says by how much."""
-    monkeypatch.setattr("insdvl_replay.nav.outage.HOLD_AFTER_S", 10.0)
+    monkeypatch.setattr("insdvl_replay.nav.filter.HOLD_AFTER_S", 10.0)
     rising = replace(flight.history, position=flight.history.position + np.arange(len(flight.history.time_ns))[:, None])
     (velocity,) = flight.history.innovations
     velocity = replace(

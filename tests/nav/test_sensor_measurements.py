@@ -17,8 +17,9 @@ from insdvl_replay.nav.measurements import (
     FIX,
     HEADING,
     VELOCITY,
-    InsAtPing,
+    InsNow,
     Measurement,
+    Memory,
     linearise,
     sensor_measurement,
     stacked,
@@ -32,18 +33,15 @@ LAYOUT, STATES = layout_of(("position", "dvl_scale", "dvl_yaw", "heading_bias"))
 SCALE, YAW, BIAS = 0.03, 0.2, 0.1
 
 
-def ins_off_by(dx: Floats) -> InsAtPing:
+def ins_off_by(dx: Floats) -> InsNow:
     """An INS whose errors are dx: estimated minus true."""
     place, nothing = local_earth_at(POSITION[0], POSITION[2]), np.zeros((1, 3))
-    return InsAtPing(
+    return InsNow(
         without_error(POSITION, vector(-dx[12:15]), place),
         vector(VELOCITY_N + dx[:3]),
         matrix(Rotation.from_rotvec(dx[3:6]).as_matrix() @ MAT_NB),
         (0.0, 0.0, -9.8),
-        0,
-        nothing,
-        nothing,
-        nothing,
+        Memory(nothing, nothing, nothing),
         9.8,
         (0.0, 0.0, 0.0),
         place,
