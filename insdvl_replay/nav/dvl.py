@@ -40,14 +40,8 @@ class DvlVelocities:
 
     def where(self, keep: NDArray[np.bool_]) -> "DvlVelocities":
         """Keep some of the pings."""
-        return replace(
-            self,
-            time_ns=self.time_ns[keep],
-            velocity_b=self.velocity_b[keep],
-            unit_cov_b=self.unit_cov_b[keep],
-            beams_used=self.beams_used[keep],
-            residual_mps=self.residual_mps[keep],
-        )
+        columns = ("time_ns", "velocity_b", "unit_cov_b", "beams_used", "residual_mps")
+        return replace(self, **{name: getattr(self, name)[keep] for name in columns})
 
 
 @dataclass(frozen=True)
@@ -57,11 +51,6 @@ class DvlBeams:
     time_ns: TimeNs  # (k,), times of validity of the pings with any beam
     beam_velocity_mps: Floats  # (k, beams), without the scale error; NaN where a beam is lost
     directions_b: Floats  # (beams, 3), unit vectors
-
-    def within(self, start_ns: int, end_ns: int) -> "DvlBeams":
-        """Keep the pings after the start and up to the end."""
-        inside = (self.time_ns > start_ns) & (self.time_ns <= end_ns)
-        return replace(self, time_ns=self.time_ns[inside], beam_velocity_mps=self.beam_velocity_mps[inside])
 
 
 def dvl_beams(dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int) -> DvlBeams | None:

@@ -197,9 +197,10 @@ def run_filter(
 
     innovations = []
     for m, made in enumerate(measurements):
-        reading_ns, used = timeline.event_ns[timeline.rows[made.sensor] >= 0], np.flatnonzero(made.available)
+        reading_ns = timeline.event_ns[timeline.rows[made.sensor] >= 0]
+        used = np.flatnonzero(made.available[: len(reading_ns)])
         found = {name: getattr(updates, name)[m, used] for name in ("nis", "used", "reopened", "log_det")}
-        components = {name: getattr(updates, name)[m, used, : made.size] for name in ("innovation", "sd")}
+        found |= {name: getattr(updates, name)[m, used, : made.size] for name in ("innovation", "sd")}
         innovations.append(
             Innovations(
                 measurement=made.name,
@@ -213,7 +214,6 @@ def run_filter(
                 noise_factor=float(updates.noise_factor[m]),
                 holds_height=made.holds_height,
                 **found,
-                **components,
             )
         )
     records.position[:, 1] = wrap_angle(records.position[:, 1])

@@ -103,10 +103,6 @@ class Measurement:
         columns = ("available", "valid_ns", "values", "cov", "velocity_weights", "interval_weights")
         return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
-    def until(self, end_ns: int) -> "Measurement":
-        """Keep the readings up to a time."""
-        return self.rows(slice(int(np.searchsorted(self.valid_ns, end_ns, side="right"))))
-
     def held_out(self) -> "Measurement":
         """Let a filter predict it without using it: its gate lets nothing pass."""
         return replace(self, gate=NOTHING_PASSES, reopen_after=NEVER_REOPENED)

@@ -136,27 +136,26 @@ def build_timeline(
     imu : ImuColumns
         Covers start to end.
     ping_ns : ndarray, shape (m,)
-        Times of the velocities, after the start and up to the end.
+        Times of the velocities, after the start. Readings after the end are left out.
     reference_ns : ndarray, shape (r,)
         Times at which the history needs the state; those outside are left out.
     gaps : Gaps
         The IMU's long gaps, which get nodes.
     others_ns : sequence of ndarray, shape (k,)
-        Times of each further sensor's readings, increasing, after the start and up to the end. Nothing is recorded for
-        them.
+        Times of each further sensor's readings, increasing, after the start. Nothing is recorded for them.
     beams_ns : ndarray, shape (k,)
         Times of pings with any beam, for filters aided by single beams.
 
     Raises
     ------
     ValueError
-        A reading or the span is outside the IMU's samples.
+        The span is outside the IMU's samples, or a reading before its start.
     """
     if start_ns < imu.time_ns[0] or end_ns > imu.time_ns[-1]:
         raise ValueError("the span lies outside the IMU's samples")
-    sensors_ns = (ping_ns, beams_ns, *others_ns)
-    if any(len(time_ns) and (time_ns[0] <= start_ns or time_ns[-1] > end_ns) for time_ns in sensors_ns):
-        raise ValueError("a reading lies outside the span")
+    sensors_ns = [time_ns[: np.searchsorted(time_ns, end_ns, "right")] for time_ns in (ping_ns, beams_ns, *others_ns)]
+    if any(len(time_ns) and time_ns[0] <= start_ns for time_ns in sensors_ns):
+        raise ValueError("a reading lies before the start")
 
     def inside(time_ns: TimeNs) -> TimeNs:
         return np.asarray(time_ns[(time_ns > start_ns) & (time_ns < end_ns)])
@@ -168,7 +167,7 @@ def build_timeline(
 
     gaps = gaps.within(start_ns, end_ns)
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
-    recorded_ns = distinct(np.concatenate([ends_ns, ping_ns, inside(reference_ns)]))
+    recorded_ns = distinct(np.concatenate([ends_ns, sensors_ns[PINGS], inside(reference_ns)]))
     event_ns = distinct(np.concatenate([recorded_ns, *sensors_ns, inside(gaps.node_ns())]))
     covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
     # The loop is compiled for contiguous, writable columns; others are copied.

@@ -69,18 +69,6 @@ class Prepared:
         variances = {name: np.diagonal(sensor.cov, axis1=1, axis2=2) for name, sensor in self.sensors.items()}
         return {name: np.sqrt(np.median(variance, axis=0)) for name, variance in variances.items()}
 
-    def until(self, end_ns: int) -> "Prepared":
-        """Return the same of a replay that ends earlier."""
-        start_ns = self.alignment.start_ns
-        return replace(
-            self,
-            velocities=self.velocities.within(start_ns, end_ns),
-            gaps=self.gaps.within(start_ns, end_ns),
-            beams=None if self.beams is None else self.beams.within(start_ns, end_ns),
-            sensors={name: sensor.until(end_ns) for name, sensor in self.sensors.items()},
-            end_ns=end_ns,
-        )
-
 
 def read_checked_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
     """Read a dive, and note what cannot be true in its columns; LogError where the tables would be wrong."""

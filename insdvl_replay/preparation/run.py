@@ -271,7 +271,7 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
     inside = np.flatnonzero((dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns))
     chosen = inside[:: max(1, math.ceil(len(inside) / MOST_DRAWN_TIMES))]
     reference = dive.reference.rows(np.isin(np.arange(len(dive.reference.time_ns)), chosen))
-    dive, prepared = replace(dive, reference=reference), prepared.until(end_ns)
+    dive, prepared = replace(dive, reference=reference), replace(prepared, end_ns=end_ns)
     part = RunDive(dive, prepared, prepared_timeline(dive, prepared), np.empty(0, np.int64))
 
     def run(work: tuple[Candidate, Start]) -> DrawnErrors:
