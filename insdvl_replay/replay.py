@@ -58,12 +58,8 @@ def replay_log(
     ConfigError
         The settings do not fit the log.
     """
-    return replay_dive(_read(path, config, allow_damaged, name), config)
-
-
-def _read(path: Path | Sequence[Path], config: Config, allow_damaged: bool, name: str | None) -> Dive:
-    dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-    return replace(dive, name=name or dive.name)
+    # No name holds the dive, so that its readings can go before the filters are compared.
+    return replay_dive(read_checked_dive(path, config, allow_damaged=allow_damaged, name=name), config)
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:
@@ -81,35 +77,39 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
+    # Prepare: span, start, and what each filter measures; then drawn starts and windows without the DVL.
     dive = with_reference_at_imu(dive, config)
-    prepared = prepare_with_heading(dive, config)  # span, start, and what each filter measures
-    plan = plan_runs(dive, prepared, config)  # drawn starts, windows without the DVL, times at which errors are judged
+    prepared = prepare_with_heading(dive, config)
+    plan = plan_runs(dive, prepared, config)
+
+    # Run every candidate. The rest needs no readings.
     runs = run_candidates(dive, prepared, plan, config)
-    dive = replace(dive, imu=dive.imu.times_only(), solutions={})  # the rest needs no readings
+    (baseline, *_), histories = runs.histories, runs.histories
+    dive = replace(dive, imu=dive.imu.times_only(), solutions={})
     return_freed_memory()
 
+    # Compare them with the reference and with each other.
     report_stage("judging the filters")
-    span, independent = (prepared.alignment.start_ns, prepared.end_ns), config.reference.independent
-    noise = ReferenceNoise(
-        config.reference.position_sd_m, config.reference.velocity_sd_mps, config.reference.attitude_sd_deg
-    )
+    span, settings = (prepared.alignment.start_ns, prepared.end_ns), config.reference
+    noise = ReferenceNoise(settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg)
     errors, tables = tables_of_filters(
-        dive, runs.histories, runs.drawn, runs.outages, noise, prepared.sensor_sd,
-        jump_table(dive.name, runs.histories, runs.motions),
+        dive, histories, runs.drawn, runs.outages, noise, prepared.sensor_sd,
+        jump_table(dive.name, histories, runs.motions),
         start_ns=span[0], bridged_gaps=len(prepared.gaps.start_ns) > 0,
     )  # fmt: skip
-    baseline = runs.histories[0]
     notes = (
         *dive.notes,
         *prepared.notes,
         *outage_notes(prepared.velocities.time_ns, *span),
-        *update_notes(runs.histories),
+        *update_notes(histories),
         *contradiction_of_filter(dive.sensors, dive.reference, baseline),
         *runs.notes,
-        *reference_notes(dive, *span, baseline, plan.judged_ns, independent=independent),
+        *reference_notes(dive, *span, baseline, plan.evaluated_ns, independent=settings.independent),
     )
-    tables, verdicts = judged_candidates(runs.histories, errors, tables, notes, independent=independent)
-    notes += settings_hints(tables, baseline) + constants_notes(runs.histories)
-    histories = runs.histories if keep_cov else tuple(history.without_cov() for history in runs.histories)
+
+    # The verdict on each.
+    tables, verdicts = judged_candidates(histories, errors, tables, notes, independent=settings.independent)
+    notes += settings_hints(tables, baseline) + constants_notes(histories)
+    histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
     return Replay(dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes)

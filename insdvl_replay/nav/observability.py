@@ -276,6 +276,7 @@ def remaining_cov(
                 K = np.linalg.solve(H @ P @ H.T + R, H @ P).T
                 kept = identity - K @ H
                 P = kept @ P @ kept.T + K @ R @ K.T
+        P = 0.5 * (P + P.T)
     return np.asarray(P)
 
 

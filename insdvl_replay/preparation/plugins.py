@@ -55,7 +55,7 @@ _OUTSIDE: Final = ("math domain error", "expected ")  # errors of `math` outside
 _T = TypeVar("_T")
 
 
-def prepare_own_measurements(
+def prepare_user_measurements(
     dive: Dive,
     config: Config,
     filters: Sequence[ResolvedFilter],

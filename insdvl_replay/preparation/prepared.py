@@ -40,7 +40,7 @@ from insdvl_replay.preparation.filters import (
     resolve_filters,
 )
 from insdvl_replay.preparation.notes import note
-from insdvl_replay.preparation.plugins import prepare_own_measurements
+from insdvl_replay.preparation.plugins import prepare_user_measurements
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
 RESIDUAL_HINT: Final = "dvl.max_beam_residual_mps several times the noise of a beam, or leave it out"
@@ -70,14 +70,16 @@ class Prepared:
         return {name: np.sqrt(np.median(variance, axis=0)) for name, variance in variances.items()}
 
 
-def read_checked_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Dive:
+def read_checked_dive(
+    path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False, name: str | None = None
+) -> Dive:
     """Read a dive, and note what cannot be true in its columns; LogError where the tables would be wrong."""
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
     place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
     notes = plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
     notes += sensor_notes(dive.sensors, dive.reference, config)
     notes += solution_notes(dive.solutions, dive.reference, config)
-    return replace(dive, notes=(*dive.notes, *notes))
+    return replace(dive, name=name or dive.name, notes=(*dive.notes, *notes))
 
 
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
@@ -152,7 +154,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         config = changed(config, initial=alignment.initial or config.initial)
         filters = resolve_filters(config)
         sensors, sensor_notes = prepare_sensors(dive.sensors, config, start, start_ns, end_ns, alignment.used_ns)
-        own, own_notes = prepare_own_measurements(dive, config, filters, len(sensors), start, start_ns, end_ns)
+        own, own_notes = prepare_user_measurements(dive, config, filters, len(sensors), start, start_ns, end_ns)
     inside = velocities.within(start_ns, end_ns)
     if not len(inside.time_ns):
         raise LogError(

@@ -95,7 +95,7 @@ class RecordedSolution:
     name: str
     settings: Solution
     baseline: History
-    judged_ns: TimeNs  # (c,)
+    evaluated_ns: TimeNs  # (c,)
     motion: ReferenceColumns | None = None  # each of its samples, aligned, once it was run
     notes: tuple[Note, ...] = ()
 
@@ -103,7 +103,7 @@ class RecordedSolution:
         """Interpolate it at the times of the baseline."""
         columns, imu = dive.dive.solutions[self.name], dive.dive.imu
         history, self.motion, self.notes = recorded_history(
-            self.name, columns, self.settings, imu, self.baseline, self.judged_ns
+            self.name, columns, self.settings, imu, self.baseline, self.evaluated_ns
         )
         return history
 
@@ -112,7 +112,7 @@ class RecordedSolution:
 class RunPlan:
     """How the candidates of a dive are run."""
 
-    judged_ns: TimeNs  # (c,) times of the reference at which errors are judged by P
+    evaluated_ns: TimeNs  # (c,) times of the reference at which errors are judged by P
     windows: OutagePlan  # without the DVL
     starts: int  # from which each candidate runs, the dive's own among them; 0 without a reference
     seed: int
@@ -149,11 +149,11 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     report_stage("running the filters")
     return_freed_memory()
     timeline, start = prepared_timeline(dive, prepared), prepared.alignment.start
-    whole = RunDive(dive, prepared, timeline, np.union1d(plan.judged_ns, plan.windows.start_ns))
+    whole = RunDive(dive, prepared, timeline, np.union1d(plan.evaluated_ns, plan.windows.start_ns))
     filters = [BuiltInFilter(filter_) for filter_ in prepared.filters]
     histories = _side_by_side(timeline, lambda candidate: candidate.run(whole, start), filters)
     recorded = [
-        RecordedSolution(name, settings, histories[0], plan.judged_ns) for name, settings in config.solutions.items()
+        RecordedSolution(name, settings, histories[0], plan.evaluated_ns) for name, settings in config.solutions.items()
     ]
     found = tuple(candidate.run(whole, start) for candidate in recorded)
     outages = run_outages(whole, config, histories, plan.windows)

@@ -43,7 +43,7 @@ def recorded_history(
     settings: Solution,
     imu: ImuColumns,
     baseline: History,
-    judged_ns: TimeNs,  # (c,) times at which errors are judged by P
+    evaluated_ns: TimeNs,  # (c,) times at which errors are judged by P
 ) -> tuple[History, ReferenceColumns, tuple[Note, ...]]:
     """Move a solution to the IMU, align it with the baseline where it begins, and interpolate it at its times.
 
@@ -92,7 +92,7 @@ def recorded_history(
         notes.append(
             note("solution_laid", key=key, origin=from_own, baseline=baseline.filter, since=since_s, moved=moved)
         )
-    history = _history(name, replace(solution, motion=motion), baseline, judged_ns, is_turned=align == "heading")
+    history = _history(name, replace(solution, motion=motion), baseline, evaluated_ns, is_turned=align == "heading")
     return history, motion.without_attitude(), (*notes, *_coverage_notes(key, motion, history))
 
 
@@ -100,7 +100,7 @@ def _history(
     name: str,
     solution: SolutionColumns,  # with geographic positions
     baseline: History,
-    judged_ns: TimeNs,  # (c,)
+    evaluated_ns: TimeNs,  # (c,)
     *,
     is_turned: bool,
 ) -> History:
@@ -119,7 +119,7 @@ def _history(
 
     sd = np.full((len(time_ns), len(STATES)), np.nan)
     sd[np.ix_(given, _REPORTED)] = np.sqrt(reported(np.diagonal(solution.cov, axis1=1, axis2=2), time_ns[given]))
-    cov_ns = judged_ns[np.isin(judged_ns, time_ns[given])]
+    cov_ns = evaluated_ns[np.isin(evaluated_ns, time_ns[given])]
     cov = np.full((len(cov_ns), len(STATES), len(STATES)), np.nan)
     cov[np.ix_(np.arange(len(cov_ns)), _REPORTED, _REPORTED)] = reported(solution.cov, cov_ns)
     no_bias = np.full((len(time_ns), 3), np.nan)

@@ -176,9 +176,9 @@ def test_the_words_on_its_covariance_are_right_over_seeds(dive: Dive, tmp_path: 
 def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
     """Judge a solution by its errors, beside the baseline of another replay of the same dive."""
     assert dive.reference is not None
-    judged_ns = dive.reference.time_ns[dive.reference.time_ns <= first.end_ns]
+    evaluated_ns = dive.reference.time_ns[dive.reference.time_ns <= first.end_ns]
     recorded, baseline = settings.solutions["onboard"], first.histories[0]
-    history, _, _ = recorded_history("onboard", dive.solutions["onboard"], recorded, dive.imu, baseline, judged_ns)
+    history, _, _ = recorded_history("onboard", dive.solutions["onboard"], recorded, dive.imu, baseline, evaluated_ns)
     errors = state_errors(history, dive.reference, None).after(first.start_ns)
     return credibility_of(credibility_table("dive", ["onboard"], {"onboard": errors}), "onboard")
 
