@@ -101,7 +101,8 @@ def load_user_measurement(word: str) -> UserMeasurement:
         user = found()
     except (Exception, SystemExit) as error:
         raise ValueError(f"cannot be made without arguments: {error}") from error
-    name, mistakes = str(user.name), (
+    name = str(user.name)
+    mistakes = (
         (not isinstance(user.name, str), f"has the name {user.name!r}, which is no text"),
         (not isinstance(user.unit, str), f"has the unit {user.unit!r}, which is no text"),
         (not (name.isidentifier() and is_whole(name)), f"has the name '{name}', which is no word for a row of a table"),
@@ -112,7 +113,7 @@ def load_user_measurement(word: str) -> UserMeasurement:
             inspect.ismethod(user.predict),
             "has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)",
         ),
-    )  # fmt: skip
+    )
     for is_mistake, text in mistakes:
         if is_mistake:
             raise ValueError(text)

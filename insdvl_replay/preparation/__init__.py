@@ -1,6 +1,6 @@
 """From a log and settings to runs of every candidate.
 
-`prepared` reads and checks a dive, and does what comes before the filters: `gaps` settles pauses of the IMU,
+`prepared` reads and checks a dive, settles long gaps of the IMU, and does what else comes before the filters:
 `alignment` finds the start, `filters` what each filter measures, `plugins` what user code measures. `run` runs the
-candidates, among them recorded `solutions`.
+candidates, among them recorded `solutions`. All `notes` are in one table.
 """

@@ -13,7 +13,6 @@ from insdvl_replay.core.dive_columns import (
     Floats,
     ImuColumns,
     ReferenceColumns,
-    Scalar,
     SolutionColumns,
     TimeNs,
     at_time,
@@ -175,46 +174,38 @@ def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     return replace(solution, motion=turned, way_n=way_n, cov=blocks.reshape(solution.cov.shape))
 
 
-def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[NDArray[np.int64], Floats]:  # (k,) each
-    """Return the known row before each time, and its share of the step to the next known one.
+def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[NDArray[np.int64], Floats]:
+    """Return the known rows around each time, shape (2, k), and its share of the step between them, shape (k,).
 
     The share is NaN outside, and where the step is longer than `LONGEST_STEP`.
     """
-    known_ns = _rows(time_ns, known)
-    if len(known_ns) < 2:
-        return np.zeros(len(at_ns), np.int64), np.full(len(at_ns), np.nan)
+    rows = np.flatnonzero(known)
+    if len(rows) < 2:
+        return np.zeros((2, len(at_ns)), np.int64), np.full(len(at_ns), np.nan)
+    known_ns = time_ns[rows]
     before = np.clip(np.searchsorted(known_ns, at_ns, side="right") - 1, 0, len(known_ns) - 2)
     step_s = seconds(known_ns[before + 1], known_ns[before])
     share = seconds(at_ns, known_ns[before]) / step_s
     usual_s = float(np.median(np.diff(known_ns), overwrite_input=True)) * 1e-9
     given = (share >= 0.0) & (share <= 1.0) & ((step_s <= LONGEST_STEP * usual_s) | (share == 0.0) | (share == 1.0))
-    return before, np.where(given, share, np.nan)
-
-
-def _rows(values: NDArray[Scalar], known: NDArray[np.bool_]) -> NDArray[Scalar]:
-    """Return the known rows; mostly it is all of them, which spares a copy."""
-    return values if known.all() else values[known]
+    return rows[before + np.array([[0], [1]])], np.where(given, share, np.nan)
 
 
 def _interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
     """Interpolate rows, shape (r, 3), linearly, each column by itself: a height may be missing."""
-    columns = []
-    for column in values.T:
-        known: NDArray[np.bool_] = np.isfinite(column)
-        before, share = _between(time_ns, known, at_ns)
-        given = _rows(column, known) if known.sum() > 1 else np.full(2, np.nan)
-        columns.append(given[before] + share * (given[before + 1] - given[before]))
-    return np.stack(columns, axis=1)
+    found = np.full((len(at_ns), 3), np.nan)
+    for column, into in zip(values.T, found.T, strict=True):
+        rows, share = _between(time_ns, np.isfinite(column), at_ns)
+        if np.isfinite(share).any():
+            first, second = column[rows]
+            into[:] = first + share * (second - first)
+    return found
 
 
 def _interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Floats:
     """Turn from one attitude to the next at a steady rate."""
-    known = np.asarray(np.isfinite(mat_nb).all(axis=(1, 2)))
-    before, share = _between(time_ns, known, at_ns)
+    rows, share = _between(time_ns, np.asarray(np.isfinite(mat_nb).all(axis=(1, 2))), at_ns)
     found, given = np.full((len(at_ns), 3, 3), np.nan), np.flatnonzero(np.isfinite(share))
-    rows = before + np.array([[0], [1]])
-    if not known.all():
-        rows[:, given] = np.flatnonzero(known)[rows[:, given]]
 
     def partway(block: NDArray[np.int64]) -> Floats:
         first, second = mat_nb[rows[:, block]]
