@@ -58,9 +58,9 @@ def dvl_beams(dvl: DvlColumns, mounting: DvlMounting, start_ns: int, end_ns: int
     if dvl.beam_velocity_mps is None or dvl.beam_vectors_d is None:
         return None
     inside = (dvl.time_ns > start_ns) & (dvl.time_ns <= end_ns)
-    heard = np.isfinite(dvl.beam_velocity_mps).any(axis=1) & inside
-    velocity_mps = dvl.beam_velocity_mps[heard] / mounting.scale
-    return DvlBeams(dvl.time_ns[heard], velocity_mps, dvl.beam_vectors_d @ mounting.mat_bd.T)
+    valid = np.isfinite(dvl.beam_velocity_mps).any(axis=1) & inside
+    velocity_mps = dvl.beam_velocity_mps[valid] / mounting.scale
+    return DvlBeams(dvl.time_ns[valid], velocity_mps, dvl.beam_vectors_d @ mounting.mat_bd.T)
 
 
 def dvl_velocities(

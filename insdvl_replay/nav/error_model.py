@@ -114,12 +114,12 @@ def over(motion: Motion, dt: float) -> Motion:
 
 
 @inlined
-def _grown(P: Floats, first: int, apart: int, step: Motion) -> tuple[Vector, Vector]:
+def _grown(P: Floats, first: int, stride: int, step: Motion) -> tuple[Vector, Vector]:
     """Return ``dx + F dt dx`` of velocity and attitude, for a column of P, whose entries are n apart, or for a row."""
-    velocity_error = (P[first], P[first + apart], P[first + 2 * apart])
-    misalignment = (P[first + 3 * apart], P[first + 4 * apart], P[first + 5 * apart])
-    accel_bias = (P[first + 6 * apart], P[first + 7 * apart], P[first + 8 * apart])
-    gyro_bias = (P[first + 9 * apart], P[first + 10 * apart], P[first + 11 * apart])
+    velocity_error = (P[first], P[first + stride], P[first + 2 * stride])
+    misalignment = (P[first + 3 * stride], P[first + 4 * stride], P[first + 5 * stride])
+    accel_bias = (P[first + 6 * stride], P[first + 7 * stride], P[first + 8 * stride])
+    gyro_bias = (P[first + 9 * stride], P[first + 10 * stride], P[first + 11 * stride])
     velocity_growth, misalignment_growth = error_rate(step, velocity_error, misalignment, accel_bias, gyro_bias)
     return add(velocity_error, velocity_growth), add(misalignment, misalignment_growth)
 
@@ -254,18 +254,18 @@ def propagate_position_cov(P: Floats, each_state: tuple[float, ...], first: int,
 
 
 @inlined
-def _grow_position(P: Floats, start: int, apart: int, first: int, growth: PositionGrowth) -> None:
+def _grow_position(P: Floats, start: int, stride: int, first: int, growth: PositionGrowth) -> None:
     """Let one column of P grow, whose entries are n apart, or one row."""
-    at, turn = start + first * apart, start + 3 * apart
-    position_error = (P[at], P[at + apart], P[at + 2 * apart])
-    velocity_error = (P[start], P[start + apart], P[start + 2 * apart])
-    misalignment = (P[turn], P[turn + apart], P[turn + 2 * apart])
+    at, turn = start + first * stride, start + 3 * stride
+    position_error = (P[at], P[at + stride], P[at + 2 * stride])
+    velocity_error = (P[start], P[start + stride], P[start + 2 * stride])
+    misalignment = (P[turn], P[turn + stride], P[turn + 2 * stride])
     moved = add(scale(growth.dt, velocity_error), rotate(growth.within, position_error))
-    P[at], P[at + apart], P[at + 2 * apart] = add(position_error, moved)
+    P[at], P[at + stride], P[at + 2 * stride] = add(position_error, moved)
     velocity_error = add(velocity_error, rotate(growth.to_velocity, position_error))
-    P[start], P[start + apart], P[start + 2 * apart] = velocity_error
+    P[start], P[start + stride], P[start + 2 * stride] = velocity_error
     misalignment = add(misalignment, rotate(growth.to_misalignment, position_error))
-    P[turn], P[turn + apart], P[turn + 2 * apart] = misalignment
+    P[turn], P[turn + stride], P[turn + 2 * stride] = misalignment
 
 
 @inlined

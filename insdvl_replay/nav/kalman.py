@@ -162,9 +162,7 @@ def _subtract_transposed_product(A: Floats, B: Floats, total: Floats, row: Float
 # first step, relative to its effect at three sd of the NIS, where outliers begin. Without these two, clean dives drift
 # by 2 to 6 % more; with them, by less than 1 %, see `benchmarks/noise.py`.
 
-FIXED: Final = 0
-ADAPTIVE: Final = 1
-STUDENT_T: Final = 2
+FIXED, ADAPTIVE, STUDENT_T = range(3)
 
 WINDOW: Final = 30.0
 """Innovations after which a third of a step of the noise is left to find."""

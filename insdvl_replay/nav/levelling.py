@@ -94,8 +94,8 @@ def find_level(
     heading, latitude : float
         Of the start, rad, for the direction of the Earth's rotation.
     """
-    heard = (velocities.time_ns >= start_ns) & (velocities.time_ns <= samples.time_ns[-1])
-    ping_ns = velocities.time_ns[heard]
+    inside = (velocities.time_ns >= start_ns) & (velocities.time_ns <= samples.time_ns[-1])
+    ping_ns = velocities.time_ns[inside]
     time_ns = distinct(np.concatenate([[start_ns], samples.time_ns, ping_ns]))
     time_s, sample_s = seconds(time_ns, start_ns), seconds(samples.time_ns, start_ns)
     force_b, rate_ib_b = (
@@ -150,8 +150,10 @@ def find_level(
         return unaided
 
     # With one, a straight line through the pings. Their noise is that of the settings, or their scatter if larger.
-    rows, cov_b = np.searchsorted(time_ns, ping_ns), velocity_cov_b[heard]
-    velocity = np.einsum("kij,kj->ki", mat[rows], velocities.velocity_b[heard] - np.cross(rate_eb_b[rows], lever_arm_b))
+    rows, cov_b = np.searchsorted(time_ns, ping_ns), velocity_cov_b[inside]
+    velocity = np.einsum(
+        "kij,kj->ki", mat[rows], velocities.velocity_b[inside] - np.cross(rate_eb_b[rows], lever_arm_b)
+    )
     free, ping_s = velocity - force_sum[rows], time_s[rows] - time_s[rows].mean()
     weights = ping_s / np.sum(ping_s**2)
     slope = weights @ free

@@ -50,14 +50,7 @@ from insdvl_replay.nav.kalman import FIXED
 from insdvl_replay.nav.timeline import PINGS
 from insdvl_replay.nav.user_measurement import INS_SIZE, Predicts
 
-VELOCITY: Final = 0
-PUBLISHED: Final = 1
-WINDOWED: Final = 2
-BEAM: Final = 3
-DEPTH: Final = 4
-HEADING: Final = 5
-FIX: Final = 6
-USER: Final = 7
+VELOCITY, PUBLISHED, WINDOWED, BEAM, DEPTH, HEADING, FIX, USER = range(8)
 """Kinds of measurement: the DVL's, other sensors', and from `USER` on each user-defined one."""
 
 IDENTITY: Final = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

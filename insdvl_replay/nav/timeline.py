@@ -18,11 +18,8 @@ from insdvl_replay.core.states import STATES
 from insdvl_replay.geometry.rotation import skew
 from insdvl_replay.nav.algebra import Vector, add, row_vector, scale, subtract
 
-PINGS: Final = 0
-"""Row of the DVL's pings among the sensors of a time line."""
-BEAMS: Final = 1
-"""Row of the pings with any beam; other sensors follow."""
-FIRST_OTHER: Final = 2
+PINGS, BEAMS, FIRST_OTHER = range(3)
+"""Rows of a time line: of the DVL's pings with a velocity, of those with any beam; other sensors follow."""
 BRIDGE_STEP_S: Final = 1.0
 """Spacing of the nodes inside a gap, short enough for growing uncertainties to act on each other."""
 

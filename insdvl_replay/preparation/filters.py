@@ -114,10 +114,10 @@ class ResolvedFilter:
         arm_b, time_ns, found = mounting.lever_arm_b, velocities.time_ns, list[Measurement]()
         cov_b = self.velocity_cov(velocities) + gaps.swing_cov(time_ns, arm_b)
         from_velocities: dict[str, Any] = {"noise": self.measurement_noise, "reopen_after": self.gate_reopen_after}
-        for word in (word for word in self.aiding if word not in self.held_out):
-            if word == "velocity":
+        for aid in (aid for aid in self.aiding if aid not in self.held_out):
+            if aid == "velocity":
                 found.append(replace(velocity_measurement(velocities, cov_b), **from_velocities))
-            elif word == "beams":
+            elif aid == "beams":
                 if beams is None:
                     raise ConfigError(
                         f"filters.{self.name} is aided by beams, and the DVL gives velocities alone",
@@ -129,7 +129,7 @@ class ResolvedFilter:
                     # All beams swing together and are used independently: together they must say as much as one.
                     swing_var = len(by_beam) * (swing_cov_b @ beam.direction_b @ beam.direction_b)
                     found.append(replace(beam, cov=beam.cov + swing_var[:, None, None], **from_velocities))
-            elif word == "acceleration":
+            elif aid == "acceleration":
                 settings = self.acceleration
                 windows = slope_windows(
                     seconds(time_ns, time_ns[:1]), settings.window, settings.order, settings.max_window_gap_s
@@ -147,16 +147,16 @@ class ResolvedFilter:
                 seen = windows.complete & ~gaps.overlap(time_ns[first], time_ns)
                 found.append(replace(acceleration, available=seen))
             else:
-                found.append(sensors[word])
+                found.append(sensors[aid])
         used = (replace(measurement, gate=self.gate(measurement.size)) for measurement in found)
-        names = ((sensors[word], f"{HELD_OUT}{sensors[word].name}") for word in self.held_out)
+        names = ((sensors[aid], f"{HELD_OUT}{sensors[aid].name}") for aid in self.held_out)
         return (*used, *(replace(sensor, name=name).held_out() for sensor, name in names))
 
 
 def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter:
     """Resolve what a filter takes from the sections that all filters share; of two noises the beams' comes first."""
     held_out, rate_hz = config.evaluation.held_out, 1.0 / config.heading.bias_time_s
-    needed = {*filter_.states, *states_for(word for word in filter_.aiding if word not in held_out)}
+    needed = {*filter_.states, *states_for(aid for aid in filter_.aiding if aid not in held_out)}
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = np.array([sd for block in states for sd in MORE_SD[block](config)], dtype=np.float64)
     fades = np.array([block == "heading_bias" for block in states for _ in MORE_STATES[block]], dtype=np.float64)

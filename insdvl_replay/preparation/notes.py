@@ -118,18 +118,18 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     # User-defined measurements.
     "own_measurement_plain": (
         WARNING,
-        "the prediction of {word} cannot be compiled, and runs as it is: the filter takes long",
+        "the prediction of {plugin} cannot be compiled, and runs as it is: the filter takes long",
         "numbers, loops and numpy's functions of numbers can be compiled",
     ),
     "own_measurement_jacobian unwritten": (
         WARNING,
-        "{word} leaves {left} at zero where filters.{filter} starts: its readings change nothing there",
+        "{plugin} leaves {left} at zero where filters.{filter} starts: its readings change nothing there",
         "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs",
     ),
     "own_measurement_jacobian wrong": (
         WARNING,
-        "H of {word} contradicts its z where filters.{filter} starts: H[{row}, {column}] is {given:.3g}, and z changes "
-        "by {found:.3g}",
+        "H of {plugin} contradicts its z where filters.{filter} starts: H[{row}, {column}] is {given:.3g}, and z "
+        "changes by {found:.3g}",
         "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs",
     ),
     # Recorded solutions.

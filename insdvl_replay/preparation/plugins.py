@@ -68,42 +68,42 @@ def prepare_user_measurements(
 
     Their rows of the time line follow those of so many ``sensors``. Each prediction is tried at the start.
     """
-    words = dict.fromkeys(word for filter_ in filters for word in filter_.aiding if ":" in word)
+    plugins = dict.fromkeys(plugin for filter_ in filters for plugin in filter_.aiding if ":" in plugin)
     found, notes = dict[str, Measurement](), list[Note]()
     predictions, compiled = dict[str, Predict](), dict[str, Predict]()
-    for row, word in enumerate(words, start=FIRST_OTHER + sensors):
-        own, readings = _asked(word, dive, config)
+    for row, plugin in enumerate(plugins, start=FIRST_OTHER + sensors):
+        user, readings = _asked(plugin, dive, config)
         readings = _inside(readings, [(start_ns, end_ns)])
         if not len(readings.time_ns):
-            text = f"{word} has no reading between the start of the replay and its end"
+            text = f"{plugin} has no reading between the start of the replay and its end"
             raise ConfigError(text, "times are int64 ns")
         holds_height = False
-        for filter_ in (filter_ for filter_ in filters if word in filter_.aiding):
-            holds_height, found_notes = _tried_prediction(word, own, readings.values.shape[1], filter_, start)
+        for filter_ in (filter_ for filter_ in filters if plugin in filter_.aiding):
+            holds_height, found_notes = _tried_prediction(plugin, user, readings.values.shape[1], filter_, start)
             notes += found_notes
-        notes += silence_notes(own.name, readings.time_ns, start_ns, end_ns)
-        found[word] = replace(_measurement(own.name, own.unit, readings), sensor=row, holds_height=holds_height)
-        predictions[word] = _uncompiled_prediction(word, own, SHOWN)
-        if (prediction := compiled_prediction(own.predict)) is not None:
-            compiled[word] = prediction
+        notes += silence_notes(user.name, readings.time_ns, start_ns, end_ns)
+        found[plugin] = replace(_measurement(user.name, user.unit, readings), sensor=row, holds_height=holds_height)
+        predictions[plugin] = _uncompiled_prediction(plugin, user, SHOWN)
+        if (prediction := compiled_prediction(user.predict)) is not None:
+            compiled[plugin] = prediction
     for filter_ in filters:
-        words_of = dict[str, str]()
-        for word in (word for word in filter_.aiding if word in found):
-            if (other := words_of.setdefault(found[word].name, word)) != word:
+        plugin_of = dict[str, str]()
+        for plugin in (plugin for plugin in filter_.aiding if plugin in found):
+            if (other := plugin_of.setdefault(found[plugin].name, plugin)) != plugin:
                 raise ConfigError(
-                    f"filters.{filter_.name} is aided by {other} and {word}, which both have a row "
-                    f"'{found[word].name}' in the tables",
+                    f"filters.{filter_.name} is aided by {other} and {plugin}, which both have a row "
+                    f"'{found[plugin].name}' in the tables",
                     "give one of the two classes another name",
                 )
     # Each prediction has a number, by which one function calls it. Compiled ones have the first numbers: these stay
     # the same where they run beside others that are not compiled.
-    order = sorted(words, key=lambda word: word not in compiled)
+    order = sorted(plugins, key=lambda plugin: plugin not in compiled)
     by_compiled = joined([*compiled.values()], compiled=True) if compiled else None
-    by_all = joined([predictions[word] for word in order], compiled=False) if len(compiled) < len(order) else None
-    for number, word in enumerate(order):
-        predict = by_compiled if word in compiled else by_all
-        found[word] = replace(found[word], kind=USER + number, predict=predict)
-    uncompiled = [note("own_measurement_plain", word=word) for word in words if word not in compiled]
+    by_all = joined([predictions[plugin] for plugin in order], compiled=False) if len(compiled) < len(order) else None
+    for number, plugin in enumerate(order):
+        predict = by_compiled if plugin in compiled else by_all
+        found[plugin] = replace(found[plugin], kind=USER + number, predict=predict)
+    uncompiled = [note("own_measurement_plain", plugin=plugin) for plugin in plugins if plugin not in compiled]
     return found, (*uncompiled, *dict.fromkeys(notes))
 
 
@@ -111,7 +111,7 @@ def prepare_user_measurements(
 
 
 def _asked(
-    word: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
+    plugin: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
 ) -> tuple[UserMeasurement, UserReadings]:
     """Ask an object that is made for this call, so that it has kept nothing of another one."""
     given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.held_out
@@ -120,27 +120,29 @@ def _asked(
     if held_out:
         hint += f"; the {listed(held_out)} is held out (evaluation.held_out), with all that may be made of it"
     try:
-        own = load_user_measurement(word)
-        readings = _called(word, own, "readings(self, dive)", lambda: own.readings(given), hint)
+        user = load_user_measurement(plugin)
+        readings = _called(plugin, user, "readings(self, dive)", lambda: user.readings(given), hint)
         if not isinstance(readings, UserReadings):
-            raise ConfigError(f"{word}: readings(self, dive) gives {type(readings).__name__}, not UserReadings", SHOWN)
-        return own, checked_readings(readings)
+            raise ConfigError(
+                f"{plugin}: readings(self, dive) gives {type(readings).__name__}, not UserReadings", SHOWN
+            )
+        return user, checked_readings(readings)
     except ValueError as error:
-        raise ConfigError(f"{word} {error}", f"{SHOWN}; PYTHONPATH names the folder in which it lies") from error
+        raise ConfigError(f"{plugin} {error}", f"{SHOWN}; PYTHONPATH names the folder in which it lies") from error
 
 
-def _called(word: str, own: UserMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
+def _called(plugin: str, user: UserMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
     """Call code of the user's; what it raises becomes a ConfigError with file and line."""
     try:
         return call()
     except UserError:
         raise
     except (Exception, SystemExit) as error:  # sys.exit would end the run without a word
-        file = getattr(sys.modules[type(own).__module__], "__file__", None)
+        file = getattr(sys.modules[type(user).__module__], "__file__", None)
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
         line = f" in line {lines[-1]} of {file}" if lines else ""
         kind = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise ConfigError(f"{word}: {what} fails{line}: {kind}", hint) from error
+        raise ConfigError(f"{plugin}: {what} fails{line}: {kind}", hint) from error
 
 
 def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:
@@ -157,9 +159,9 @@ def _inside(readings: UserReadings, spans: Sequence[tuple[int, int]]) -> UserRea
 # --- Predictions.
 
 
-def _uncompiled_prediction(word: str, own: UserMeasurement, hint: str) -> Predict:
+def _uncompiled_prediction(plugin: str, user: UserMeasurement, hint: str) -> Predict:
     """Return a prediction that runs as it is; where its arithmetic fails z is no number, as in compiled code."""
-    predict = plain(own.predict)
+    predict = plain(user.predict)
 
     def as_compiled(ins: Floats, z: Floats, H: Floats) -> None:
         try:
@@ -170,11 +172,11 @@ def _uncompiled_prediction(word: str, own: UserMeasurement, hint: str) -> Predic
                 raise
             z[:] = np.nan
 
-    return lambda ins, z, H: _called(word, own, "predict(ins, z, H)", lambda: as_compiled(ins, z, H), hint)
+    return lambda ins, z, H: _called(plugin, user, "predict(ins, z, H)", lambda: as_compiled(ins, z, H), hint)
 
 
 def _tried_prediction(
-    word: str, own: UserMeasurement, size: int, filter_: ResolvedFilter, start: Start
+    plugin: str, user: UserMeasurement, size: int, filter_: ResolvedFilter, start: Start
 ) -> tuple[bool, list[Note]]:
     """Predict a reading once where a filter starts; return whether it measures the velocity down, by half or more.
 
@@ -184,7 +186,7 @@ def _tried_prediction(
     count, has_position = len(states_with(filter_.states)), "position" in filter_.states
     lacks = "" if has_position else '; states = ["position"] gives it columns 12 to 14'
     hint = f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count}){lacks}"
-    predict = _uncompiled_prediction(word, own, hint)
+    predict = _uncompiled_prediction(plugin, user, hint)
 
     def predicted(error: Floats) -> tuple[Floats, Floats]:
         """Return z and H of an INS that is off by an error, shape (15,), in the order of H, from a vehicle at rest."""
@@ -208,7 +210,7 @@ def _tried_prediction(
             differences[:, column] = (predicted(step)[0] - predicted(-step)[0]) / (2.0 * step[column])
 
     notes = list[Note]()
-    at: dict[str, Any] = {"word": word, "filter": filter_.name}
+    at: dict[str, Any] = {"plugin": plugin, "filter": filter_.name}
     unwritten = np.flatnonzero((z == 0.0) & ~H.any(axis=1))
     if len(unwritten) or not H.any():
         left = f"z[{unwritten[0]}] and H[{unwritten[0]}]" if H.any() else "H"
@@ -275,8 +277,8 @@ def in_outages(
 
     The outages of a group are far apart, so that one call serves all: a longer dive needs no more calls.
     """
-    words = [word for word in sensors if ":" in word]
-    if not words:
+    plugins = [plugin for plugin in sensors if ":" in plugin]
+    if not plugins:
         yield outages, sensors
         return
     groups = list[list[Outage]]()
@@ -287,10 +289,13 @@ def in_outages(
         group.append(outage)
     for group in groups:
         with error_context(dive.name, "in the DVL outage test"):
-            yield group, sensors | {word: _in_outages(word, sensors[word], dive, config, group) for word in words}
+            yield (
+                group,
+                sensors | {plugin: _in_outages(plugin, sensors[plugin], dive, config, group) for plugin in plugins},
+            )
 
 
-def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outages: Sequence[Outage]) -> Measurement:
+def _in_outages(plugin: str, whole: Measurement, dive: Dive, config: Config, outages: Sequence[Outage]) -> Measurement:
     """Return the readings in outages, each as on a dive that ends with it and lacks its pings alone.
 
     One call for all outages is enough if it gives the same in the first, the shortest and the last. It does not for
@@ -298,10 +303,10 @@ def _in_outages(word: str, whole: Measurement, dive: Dive, config: Config, outag
     """
 
     def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> UserReadings:
-        readings = _inside(_asked(word, dive, config, outages, end_ns)[1], outages)
+        readings = _inside(_asked(plugin, dive, config, outages, end_ns)[1], outages)
         if (size := readings.values.shape[1]) != whole.size:
             raise ConfigError(
-                f"{word} gives readings of {size} components in an outage, and of {whole.size} else", SHOWN
+                f"{plugin} gives readings of {size} components in an outage, and of {whole.size} else", SHOWN
             )
         return readings
 
