@@ -31,7 +31,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.core.words import Judgement
 from insdvl_replay.evaluation.reference_errors import reference_errors
-from insdvl_replay.evaluation.verdicts import pooled_evidence, pooled_judgement
+from insdvl_replay.evaluation.verdicts import pooled_candidate
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
@@ -66,7 +66,7 @@ def evidence_of_replay(replay: Replay, candidate: str) -> list[EvidenceRow]:
 def pooled_word(candidate: str, evidence: Sequence[list[EvidenceRow]]) -> str:
     """Give the program's word on a candidate over several dives."""
     judged = [rows for rows in evidence if rows]
-    return pooled_judgement(pooled_evidence(candidate, judged), len(evidence), len(judged))
+    return pooled_candidate(candidate, "baseline", judged, len(evidence)).judgement
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.tables import finite
-from insdvl_replay.evaluation.verdicts import pooled_evidence, pooled_judgement
+from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_evidence
 from insdvl_replay.replay import Replay, replay_log
 
 CONFIG = Path(__file__).parents[2] / "examples" / "snapir.toml"
@@ -113,13 +113,15 @@ def test_the_published_model_is_worse_where_dives_turn_and_belief_is_not_borne_o
 def test_together_the_dives_tell_the_models_apart(replays: dict[str, Replay]) -> None:
     """Withheld from the published model, the DVL is missed: it coasts ten times as far off, and no dive says else."""
     pooled = {
-        name: pooled_evidence(name, [[row for row in of_dive if row.filter == name] for of_dive in every])
+        name: pooled_candidate(
+            name, "baseline", [[row for row in of_dive if row.filter == name] for of_dive in every], len(RUNS)
+        )
         for name in ("windowed", "published")
         for every in [[replay.tables.evidence for replay in replays.values()]]
     }
-    judged = {name: str(pooled_judgement(rows, len(RUNS), len(RUNS))) for name, rows in pooled.items()}
+    judged = {name: str(candidate.judgement) for name, candidate in pooled.items()}
     assert judged == {"windowed": "better", "published": "worse"}
-    rows = {(name, row.quantity): row for name, of_one in pooled.items() for row in of_one}
+    rows = {(name, row.quantity): row for name, candidate in pooled.items() for row in candidate.rows}
     for quantity in ("outage_30s", "outage_60s", "outage_120s"):
         published = rows["published", quantity]
         assert (published.word, published.dives_won) == ("worse", 0)
