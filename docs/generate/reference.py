@@ -51,7 +51,7 @@ def _command(name: str, command: Any) -> Iterator[str]:
     first, _, more = text.strip().partition("\n\n")
     yield f"\n{' '.join(first.split())}\n"
     if more:
-        yield f"\n```text\n{fill(' '.join(more.split()), 100)}\n```\n"
+        yield f"\n```text\n{fill(' '.join(more.split()), 88)}\n```\n"
     if example:
         calls = "".join(f"$ {line.strip()}\n" for line in example.strip().splitlines())
         yield f"\n```console\n{calls}```\n"

@@ -7,6 +7,7 @@ the site has no other files. Formulas become MathML, which browsers draw without
 import re
 import shutil
 import sys
+from html import escape
 from pathlib import Path
 
 from written import PROJECT
@@ -33,6 +34,7 @@ def gather(target: Path) -> None:
         file.write_text(CODE.sub(drawn, text), "utf-8")
     for picture in (PROJECT / "docs").glob("*.svg"):
         shutil.copy(picture, target / picture.name)
+    shutil.copy(PROJECT / "docs" / "generate" / "site.css", target)
 
 
 def rewritten(link: re.Match[str], page: Path) -> str:
@@ -57,8 +59,12 @@ def drawn(found: re.Match[str]) -> str:
 
     language, block, formula = found.groups()
     if language == "math":
-        return f"<p>{convert(block.strip(), display='block')}</p>"
-    return convert(" ".join(formula.split())) if formula else found[0]
+        return f'<p class="formula">{convert(block.strip(), display="block")}</p>'
+    if formula:  # in a span, since Markdown takes <math> at the start of a line for a block
+        return f"<span>{convert(' '.join(formula.split()))}</span>"
+    if r"\|" in found[0] and not found[0].startswith("```"):  # a code word in a table
+        return f"<code>{escape(found[0].strip('`')).replace(chr(92) + '|', '&#124;')}</code>"
+    return found[0]
 
 
 def up(page: Path) -> str:

@@ -279,7 +279,7 @@ def test_formulas_of_the_site_are_mathml_and_code_stays(tmp_path: Path) -> None:
     for chapter in (tmp_path / "equations").glob("*.md"):
         assert "$" not in chapter.read_text("utf-8"), chapter.name
     page = (tmp_path / "equations" / "kalman_filter.md").read_text("utf-8")
-    assert "<p><math" in page
+    assert '<p class="formula"><math' in page
     assert "$ insdvl-replay inspect" in (tmp_path / "vehicle.md").read_text("utf-8")
 
 
