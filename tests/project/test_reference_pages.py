@@ -10,5 +10,5 @@ def test_page_is_current(name: str) -> None:
     assert reference.PAGES[name]() == (reference.FOLDER / f"{name}.md").read_text("utf-8"), "run `make reference`"
 
 
-def test_no_other_page_is_in_the_folder() -> None:
-    assert {path.stem for path in reference.FOLDER.iterdir()} == set(reference.PAGES)
+def test_every_page_is_written() -> None:
+    assert set(reference.PAGES) <= {path.stem for path in reference.FOLDER.iterdir()}
