@@ -108,6 +108,7 @@ pictures: .venv/run.stamp
 
 readme: .venv/run.stamp
 	$(BIN)/python docs/generate/readme.py
+	$(BIN)/python docs/generate/screens.py
 
 # The pages as a site, in build/site; a link that leads nowhere is an error.
 docs: .venv/test.stamp

@@ -1,17 +1,33 @@
 """README says what the program does."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pictures
 import pytest
 import readme
+import screens
 
 NUMBER = re.compile(r"-?\d+\.\d+")
 
 
 def test_readme_shows_what_the_program_prints() -> None:
     assert readme.written() == readme.README.read_text("utf-8"), "run `make readme`"
+
+
+@pytest.mark.nightly
+def test_screens_in_the_pages_are_what_the_program_prints() -> None:
+    for page, text in screens.written():
+        assert text == page.read_text("utf-8"), f"{page.name}: run `make readme`"
+
+
+@pytest.mark.parametrize("name", screens.PAGES, ids=lambda page: page.stem)
+def test_commands_of_the_screens_have_their_output(name: Path) -> None:
+    blocks = screens.SCREEN.findall(name.read_text("utf-8"))
+    assert blocks
+    silent = ("$ insdvl-replay simulate",)
+    assert all(block.startswith(silent) or len(block.splitlines()) > 1 for block in blocks)
 
 
 @pytest.mark.parametrize("name", pictures.PICTURES)
