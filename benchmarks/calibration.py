@@ -35,9 +35,8 @@ from results import machine, table, write_part
 from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
 from insdvl_replay.calibration.certainty import certainty_of
 from insdvl_replay.calibration.fit import likeliest_mounting, with_mounting
-from insdvl_replay.calibration.innovations import read_dive
+from insdvl_replay.calibration.innovations import NAMES, PARAMETERS, read_dive
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import NAMES, PARAMETERS
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats

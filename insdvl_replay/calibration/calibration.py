@@ -24,29 +24,31 @@ from insdvl_replay.calibration.certainty import (
     seen_by_motion,
 )
 from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, fit, scatter_of
-from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, DiveInnovations, Mask, ReadDive
-from insdvl_replay.calibration.noise import (
-    INERTIAL,
-    NO_GEOMETRY,
-    UNITS,
-    FittedNoise,
-    JudgedNoise,
-    fit_noise,
-    judged_noise,
-    levelled,
-    nis_per_dof,
-)
-from insdvl_replay.calibration.parameters import (
+from insdvl_replay.calibration.innovations import (
     ALL_GROUPS,
     DELAY,
+    LATEST_S,
     NAMES,
+    NO_CHANGE,
     NOISE,
     PARAMETERS,
     SCALE,
+    DiveInnovations,
     Geometry,
+    Mask,
     Parameter,
+    ReadDive,
     moved_mounting,
     moved_pings,
+)
+from insdvl_replay.calibration.noise import (
+    NO_GEOMETRY,
+    FittedNoise,
+    determined_noise,
+    fit_noise,
+    levelled,
+    nis_per_dof,
+    noise_row,
 )
 from insdvl_replay.calibration.rows import (
     DiveRow,
@@ -60,25 +62,25 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.notes import CLASSES, sensor_class
+from insdvl_replay.evaluation.notes import CLASSES
 from insdvl_replay.evaluation.outage_test import outage_test_table
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, run_candidates
 
+# Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
+# mounting, which a straight line shows with up to 3.3, and more where it is long beside accelerometers so steady that
+# they feel gravity grow with the depth that a pitched DVL claims (4.6 in 600 s, 9 in 1800 s); a DVL that smooths, or
+# stamps that jitter, look like a smaller scale.
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
-"""Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
-mounting, which a straight line shows with up to 3.3, and more where it is long beside accelerometers so steady that
-they feel gravity grow with the depth that a pitched DVL claims (4.6 in 600 s, 9 in 1800 s); a DVL that smooths, or
-stamps that jitter, look like a smaller scale."""
 SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
 NOISE_ALONE: Final = "not seen beyond the noise of this IMU"
+# A step of less than so many standard deviations ends the fit with the noise that is configured.
 NEARLY_SETTLED: Final = 0.5
-"""A step of less than so many standard deviations ends the fit with the noise that is configured."""
-BELIEVABLE_SDS: Final = 3.0
-"""An estimate further from the configuration, in sds of the prior, comes from something else."""
-BELIEVABLE_SCALE: Final = 0.05
+# An estimate further from the configuration, in sds of the prior, comes from something else.
+PLAUSIBLE_SDS: Final = 3.0
+PLAUSIBLE_SCALE: Final = 0.05
 MANY_TIMES: Final = 3.0  # Birge ratio from which dives contradict each other
+# Signal to noise below which what no model knows, such as the errors of single beams, may be as large.
 WEAK: Final = 10.0
-"""Signal to noise below which what no model knows, such as the errors of single beams, may be as large."""
 CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
 TOO_LARGE: Final = 2.0  # innovations that scatter by more, in their own sds, hold something that no geometry explains
@@ -176,20 +178,26 @@ def calibrate(
     is_hidden = asked.any() and not free.any()
     if NOISE in groups and not is_hidden:
         own = config.filters[config.baseline]
-        noise, judged = judged_noise(noise, dives, [change] * len(dives), nis_by_errors(found, effects), own)
+        noise, noise_rows = determined_noise(noise, dives, [change] * len(dives), nis_by_errors(found, effects), own)
     else:
         status = Estimated.HELD if NOISE in groups else Estimated.NOT_ASKED
-        judged = dict.fromkeys(noise.after, JudgedNoise(status, NO_GEOMETRY if is_hidden else ""))
-    noise_rows = tuple(_noise_row(key, noise, judged[key]) for key in noise.after)
+        why = NO_GEOMETRY if is_hidden else ""
+        noise_rows = tuple(noise_row(noise, key, status, why) for key in noise.after)
     rows = tuple(parameter_rows(PARAMETERS, certainty, change, mean_change(found), asked, refused))
-    dive_rows = tuple(_dive_rows([noise.applied(dive) for dive in dives], found, free))
-    doubts = tuple(_doubts(found, certainty, free, dive_rows, noise_rows))
+    delays_s, sds_s = own_delays(found)
+    dive_rows = []
+    for i, (dive, near) in enumerate(zip(map(noise.applied, dives), found.dives, strict=True)):
+        delay = (float(delays_s[i]), float(sds_s[i])) if free[DELAY] else (None, None)
+        scatters = [scatter_of(dive.residuals(free * tried)) for tried in (NO_CHANGE, found.change(i))]
+        axes = np.concatenate([*scatters, autocorrelation(near)]).tolist()
+        dive_rows.append(DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes))
+    doubts = tuple(_warnings(found, certainty, free, dive_rows, noise_rows))
     before = Geometry.of(config.dvl)
-    return Calibration(before, before.changed(change), change, rows, dive_rows, doubts, found, noise, noise_rows)
+    return Calibration(before, before.changed(change), change, rows, tuple(dive_rows), doubts, found, noise, noise_rows)
 
 
 def _is_wild(scale: float) -> bool:
-    return bool(abs(np.expm1(scale)) > BELIEVABLE_SCALE)
+    return bool(abs(np.expm1(scale)) > PLAUSIBLE_SCALE)
 
 
 def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Floats) -> Refusals:
@@ -205,7 +213,7 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Fl
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif row == SCALE and _is_wild(change[row]):
             yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: does the DVL smooth, or the stamps jitter?")
-        elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:
+        elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
             yield row, (Estimated.DOUBTFUL, "too far from the configuration: are the axes right?")
 
 
@@ -218,17 +226,16 @@ def parameter_rows(
     refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
     """Lay out parameters in their order: what is proposed, what was found and is not believed, and how sure each is."""
-    names = ("formal", "correlated", "between", "beams", "imu", "sd", "signal_to_noise", "birge")
-    values = np.array([getattr(certainty, name) for name in names])
+    sds = np.array([getattr(certainty, name) for name in ("formal", "correlated", "between", "beams", "imu", "sd")])
     for row, parameter in enumerate(parameters):
         if not asked[row]:
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
         change = {Estimated.HELD: 0.0, Estimated.DOUBTFUL: found[row]}.get(status, proposed[row])
-        in_units = values[:, row] * np.repeat([parameter.shown_as, 1.0], [6, 2])
-        formal, correlated, between, beams, imu, sd, signal, birge = map(finite_or_none, in_units)
-        shown = parameter.shown_as * float(change)
+        in_units = parameter.shown_as * np.array([change, *sds[:, row]])
+        numbers = map(finite_or_none, [*in_units, certainty.signal_to_noise[row], certainty.birge[row]])
+        shown, formal, correlated, between, beams, imu, sd, signal, birge = numbers
         measured = (shown, formal, correlated, between, beams, imu, sd, signal, birge)
         yield ParameterRow(parameter.name, parameter.unit, *measured, status, why)
 
@@ -238,21 +245,7 @@ def finite_or_none(value: float) -> Number:
     return float(value) if np.isfinite(value) else None
 
 
-def _noise_row(key: str, noise: FittedNoise, judged: JudgedNoise) -> NoiseRow:
-    after, known_class = noise.after[key], sensor_class(key, noise.after[key]) if key in INERTIAL else ""
-    return NoiseRow(key, UNITS[key], noise.before[key], after, judged.sd, known_class, judged.status, judged.why)
-
-
-def _dive_rows(dives: Sequence[DiveInnovations], found: Fit, free: Mask) -> Iterator[DiveRow]:
-    delays_s, sds_s = own_delays(found)
-    for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
-        delay = (float(delays_s[i]), float(sds_s[i])) if free[DELAY] else (None, None)
-        before, after = (scatter_of(dive.residuals(free * change)) for change in (NO_CHANGE, found.change(i)))
-        axes = np.concatenate([before, after, autocorrelation(near)]).tolist()
-        yield DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes)
-
-
-def _doubts(
+def _warnings(
     found: Fit, certainty: Certainty, free: Mask, dives: Sequence[DiveRow], noise: Sequence[NoiseRow]
 ) -> Iterator[str]:
     """State what speaks against the answer."""
@@ -261,9 +254,9 @@ def _doubts(
             f"the dives differ in {NAMES[row]} {certainty.birge[row]:.1f} times as much as each is sure: "
             "was the DVL moved between them?"
         )
-    if weak := [NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK]:
-        names = ", ".join(weak)
-        yield f"weakly seen, signal to noise below {WEAK:g}: {names}; try them on other dives (--hold-out)"
+    weak = ", ".join(NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK)
+    if weak:
+        yield f"weakly seen, signal to noise below {WEAK:g}: {weak}; try them on other dives (--hold-out)"
     for first, second, correlation in correlations(found, INSEPARABLE):
         yield f"{first} and {second} can hardly be told apart (correlation {correlation:+.2f})"
     for dive in dives:
@@ -295,7 +288,7 @@ def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = Non
     nis: list[float] = []
     outages = []
     for tried in (NO_CHANGE, change):
-        nis.append(float(np.mean(asked.history(tried).innovations[0].nis)) / 3.0)
+        nis.append(float(np.mean(asked.runner(tried)(asked.filter).nis)) / 3.0)
         pings = moved_pings(prepared.velocities, tried).within(prepared.alignment.start_ns, prepared.end_ns)
         moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried))
         runs = run_candidates(read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone)

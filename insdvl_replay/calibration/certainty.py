@@ -14,16 +14,15 @@ from typing import Final
 import numpy as np
 
 from insdvl_replay.calibration.fit import OWN, SHARED_ROWS, Fit, Linearised
-from insdvl_replay.calibration.innovations import LATEST_S, DiveInnovations
-from insdvl_replay.calibration.parameters import DELAY, NAMES
+from insdvl_replay.calibration.innovations import DELAY, LATEST_S, NAMES, DiveInnovations
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.evaluation.notes import readings_scatter
 from insdvl_replay.geometry.frames import beam_vectors
 
 FEWEST_DIVES: Final = 2
+# Signal to noise from which something is moved: the prior's standard deviation over what is left of it.
 SEEN: Final = 3.0
-"""Signal to noise from which something is moved: the prior's standard deviation over what is left of it."""
 
 
 @dataclass(frozen=True)
@@ -178,12 +177,12 @@ def autocorrelation(near: Linearised) -> Floats:
 # "Measurement error models", 1987.
 
 MOTION_S: Final = 0.5  # most of what moves a vehicle is slower than this; white noise mostly faster
+# Share of the derivative's squares up to which it is taken as it is; it draws what is found to zero by as much.
 LITTLE: Final = 0.01
-"""Share of the derivative's squares up to which it is taken as it is; it draws what is found to zero by as much."""
 MOSTLY: Final = 0.5  # share beyond which the derivative is the noise's
+# Times what gyros scatter by from sample to sample, as much may be noise; what is fitted also stands for what rates
+# do between samples.
 HIDDEN: Final = 2.0
-"""Times what gyros scatter by from sample to sample, as much may be noise; what is fitted also stands for what rates do
-between samples."""
 SEED: Final = 1
 
 
@@ -248,8 +247,8 @@ def averaged(readings: Floats, step_s: float) -> Floats:
 
 OFFSET_SD_MPS: Final = 0.001  # of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
 STRETCH_SD: Final = 0.002  # of a beam's scale
+# Tactical sensors have 300 to 500 ppm by their data sheets (Sensonor STIM300), smaller ones 0.1 to 0.5 %.
 IMU_SCALE_SD: Final = 1.5e-3
-"""Tactical sensors have 300 to 500 ppm by their data sheets (Sensonor STIM300), smaller ones 0.1 to 0.5 %."""
 IMU_MISALIGNMENT_SD: Final = 1e-3  # rad, of each axis of a triad towards each other one, by the same data sheet
 STEP: Final = 3.0  # of differences, in these standard deviations
 BEAM_ERRORS: Final = 2 * len(beam_vectors())

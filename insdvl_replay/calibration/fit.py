@@ -15,8 +15,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, DiveInnovations, Mask, ReadDive
-from insdvl_replay.calibration.parameters import DELAY, NAMES, PARAMETERS, PRIOR_SD
+from insdvl_replay.calibration.innovations import (
+    DELAY,
+    LATEST_S,
+    NAMES,
+    NO_CHANGE,
+    PARAMETERS,
+    PRIOR_SD,
+    DiveInnovations,
+    Mask,
+    ReadDive,
+)
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import DvlColumns, Floats
 from insdvl_replay.core.runtime import parallel_map, track_progress
@@ -56,24 +65,6 @@ class Linearised:
         return weights_of(self.scaled)
 
     @property
-    def information(self) -> Floats:
-        """The scores' covariance, (8, 8), where residuals are white."""
-        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.by_motion, self.by_motion))
-
-    @property
-    def slope(self) -> Floats:
-        """How fast the scores' sum falls with the parameters, weights held, (8, 8)."""
-        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights, self.by_motion, self.jacobian))
-
-    @property
-    def curvature(self) -> Floats:
-        """The slope with weights that follow, (8, 8).
-
-        It is smaller: a residual that is weighed down is weighed down more when it grows.
-        """
-        return np.asarray(np.einsum("ka,kai,kaj->ij", self.weights**3, self.by_motion, self.jacobian))
-
-    @property
     def scores(self) -> Floats:
         """What each ping says, (k, 8): minus half the gradient of the cost."""
         return -np.asarray(np.einsum("ka,ka,kai->ki", self.weights, self.scaled, self.by_motion))
@@ -110,15 +101,27 @@ class Fit:
             total[np.ix_(rows, rows)] += matrix
         return total
 
+    def squares(self, derivative: str, power: int = 1) -> Floats:
+        """Return the weighted sum of products of ``by_motion`` and a derivative, with the prior, (count, count).
+
+        With ``by_motion`` it is the covariance of the gradient where residuals are white; with ``jacobian`` it is how
+        fast the gradient falls with the numbers. The third power is of weights that follow the residuals: one that
+        counts less counts still less when it grows.
+        """
+        return self.total(
+            np.einsum("ka,kai,kaj->ij", near.weights**power, near.by_motion, getattr(near, derivative))
+            for near in self.dives
+        )
+
     @property
     def slope(self) -> Floats:
         """How fast the gradient falls with the numbers, (count, count)."""
-        return self.total(near.slope for near in self.dives)
+        return self.squares("jacobian")
 
     @property
     def information(self) -> Floats:
         """Covariance of the gradient where residuals are white, (count, count)."""
-        return self.total(near.information for near in self.dives)
+        return self.squares("by_motion")
 
     @property
     def cov(self) -> Floats:
@@ -142,7 +145,7 @@ class Fit:
     @property
     def moved_by_scores(self) -> Floats:
         """How far the answer moves with what the pings say, (count, count): the inverse curvature."""
-        return np.asarray(np.linalg.inv(self.total(near.curvature for near in self.dives)), dtype=np.float64)
+        return np.asarray(np.linalg.inv(self.squares("jacobian", 3)), dtype=np.float64)
 
 
 def weights_of(scaled: Floats) -> Floats:
@@ -242,6 +245,7 @@ def delay_profile(dive: DiveInnovations, change: Floats, delays_s: Floats) -> Fl
 
 # --- How the DVL's axes lie along those of the body, where nobody knows it.
 
+# The 24 ways in which right-handed axes can lie along others.
 AXES: Final[tuple[Floats, ...]] = tuple(
     turn
     for order in permutations(range(3))
@@ -249,7 +253,6 @@ AXES: Final[tuple[Floats, ...]] = tuple(
     for turn in [np.diag(signs)[:, order]]
     if np.linalg.det(turn) > 0.0
 )
-"""The 24 ways in which right-handed axes can lie along others."""
 CLEARLY: Final = 0.8  # share of what one mounting leaves of the innovations, below which another one is the likelier
 NOT_FAR_OFF: Final = 4.0  # times the least that a mounting leaves, beyond which no arm or delay makes it the best
 MOST_FITTED: Final = 6

@@ -16,18 +16,19 @@ import numpy as np
 
 from insdvl_replay.calibration.certainty import newey_west
 from insdvl_replay.calibration.innovations import SKIPPED, DiveInnovations
+from insdvl_replay.calibration.rows import NoiseRow
 from insdvl_replay.core.config import Filter
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
+from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
+# What is fitted of the inertial sensors, and the readings in which it is.
 INERTIAL: Final = {"accel_white_mps_rts": "specific_force_b", "gyro_white_rad_rts": "angular_rate_b"}
-"""What is fitted of the inertial sensors, and the readings in which it is."""
+# Of each axis of a velocity, or of one beam.
 DVL: Final[tuple[Literal["velocity_sd_mps", "beam_sd_mps"], ...]] = ("velocity_sd_mps", "beam_sd_mps")
-"""Of each axis of a velocity, or of one beam."""
 UNITS: Final = {
     "accel_white_mps_rts": "m/s/sqrt(s)",
     "gyro_white_rad_rts": "rad/sqrt(s)",
@@ -36,9 +37,9 @@ UNITS: Final = {
 }
 PRIOR_FACTOR: Final = 3.0
 LARGEST_FACTOR: Final = 1e3
+# Factors of which the likeliest is the start, for a search from one place finds the nearest cause; order as of
+# `noise_of`.
 STARTS: Final = ((1.0, 1.0, 1.0), (0.1, 1.0, 0.3), (0.02, 1.0, 0.3), (0.1, 10.0, 0.3), (1.0, 10.0, 0.3))
-"""Factors of which the likeliest is the start, for a search from one place finds the nearest cause; order as of
-`noise_of`."""
 FIRST_STEP: Final = -0.7
 DIGITS: Final = 3  # of a noise; none is known so well, and further ones would differ from processor to processor
 LIKELIHOOD_DIGITS: Final = 2
@@ -46,13 +47,13 @@ LEVELLINGS: Final = 3
 ALL_FREE: Final = np.ones(3)
 SCORE_STEP: Final = 0.2  # of differences, in the logarithm of a noise
 RIDGE: Final = 1e-6  # of the information on a logarithm: it is known to be below a thousand
+# Standard deviation of the logarithm of a noise from which it is not determined: two of them are a factor of two.
 UNSURE: Final = 0.35
-"""Standard deviation of the logarithm of a noise from which it is not determined: two of them are a factor of two."""
+# Share of the NIS that slow errors of beams and IMU explain, beyond which noise of the IMU is not told from them.
 MOST_BY_ERRORS: Final = 0.1
-"""Share of the NIS that slow errors of beams and IMU explain, beyond which noise of the IMU is not told from them."""
 UNBOUNDED: Final = 3.0  # standard deviation of the logarithm beyond which none is given
+# Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations.
 CONTRADICTED: Final = 9.0
-"""Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations."""
 AS_IT_WAS: Final = "not determined by these dives, and stays as it was"
 AT_MOST: Final = "not determined by these dives: at most this, for what is configured contradicts them"
 OWN_NOISE: Final = "the baseline has noise of its own, which no other file can change"
@@ -71,13 +72,12 @@ class FittedNoise:
         return replace(dive, filter=_with_noise(dive.filter, self.after))
 
 
-@dataclass(frozen=True)
-class JudgedNoise:
-    """One noise: what becomes of it, why, and how sure it is."""
-
-    status: Estimated
-    why: str = ""
-    sd: float | None = None  # SI; None where the innovations do not bound it
+def noise_row(fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None) -> NoiseRow:
+    """Return what becomes of one noise; the sd is None where the innovations do not bound it."""
+    before, after = fitted.before[key], fitted.after[key]
+    return NoiseRow(
+        key, UNITS[key], before, after, sd, sensor_class(key, after) if key in INERTIAL else "", status, why
+    )
 
 
 def noise_of(baseline: ResolvedFilter) -> dict[str, float]:
@@ -191,13 +191,13 @@ def relative_sds(
     return np.asarray(np.hypot(by_chance, 0.5 * nis_by_errors * np.diag(inverse)))
 
 
-def judged_noise(
+def determined_noise(
     fitted: FittedNoise,
     dives: Sequence[DiveInnovations],
     changes: Sequence[Floats],
     nis_by_errors: float,
     own: Filter,  # the baseline as it is configured
-) -> tuple[FittedNoise, dict[str, JudgedNoise]]:
+) -> tuple[FittedNoise, tuple[NoiseRow, ...]]:
     """Propose the noise that the dives determine, and keep what is configured of the rest if they do not contradict it.
 
     A noise that no sensor has is held: something else is in it. The others are then scaled until the mean NIS is its
@@ -211,7 +211,7 @@ def judged_noise(
         for key in fitted.after
     }
     impossible = {key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()}
-    is_doubtful = any(impossible.values())
+    any_impossible = any(impossible.values())
     drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
     statuses = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
     for key, value in fitted.after.items():
@@ -220,18 +220,18 @@ def judged_noise(
             statuses[key] = Estimated.HELD, OWN_NOISE
         elif impossible[key]:
             statuses[key] = Estimated.DOUBTFUL, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
-        elif is_doubtful or not sds[key] < UNSURE or (drowned and key in INERTIAL):
+        elif any_impossible or not sds[key] < UNSURE or (drowned and key in INERTIAL):
             statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
     # Level what is proposed, beside the others as they are configured.
-    fitted_alone = Estimated.NOT_DETERMINED if is_doubtful else Estimated.ESTIMATED
-    free = np.array([float(status == fitted_alone) for status, _ in statuses.values()])
-    held = {key: fitted.after[key] if statuses[key][0] == fitted_alone else fitted.before[key] for key in statuses}
+    levelled_status = Estimated.NOT_DETERMINED if any_impossible else Estimated.ESTIMATED
+    free = np.array([float(status == levelled_status) for status, _ in statuses.values()])
+    held = {key: fitted.after[key] if statuses[key][0] == levelled_status else fitted.before[key] for key in statuses}
     proposed = fitted if free.all() else levelled(FittedNoise(fitted.before, held), dives, changes, free)
     is_bad = any(
         beyond_the_sensor(key, value, scatter[key]) and value != fitted.before[key]
         for key, value in proposed.after.items()
     )
-    if is_doubtful:
+    if any_impossible:
         is_limit, kept = not is_bad, FittedNoise(fitted.before, fitted.before) if is_bad else proposed
     else:
         search = _Search.of(fitted.before, dives, changes)
@@ -239,12 +239,12 @@ def judged_noise(
             is_bad or search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
         )
         kept = fitted if is_limit else proposed
-    judged = {}
+    rows = []
     for key, (status, why) in statuses.items():
         is_bound = is_limit and status == Estimated.NOT_DETERMINED
         sd = float(f"{sds[key] * fitted.after[key]:.2g}") if sds[key] < UNBOUNDED else None
-        judged[key] = JudgedNoise(status, AT_MOST if is_bound else why, sd)
-    return kept, judged
+        rows.append(noise_row(kept, key, status, AT_MOST if is_bound else why, sd))
+    return kept, tuple(rows)
 
 
 def nis_per_dof(dive: DiveInnovations, change: Floats) -> float:

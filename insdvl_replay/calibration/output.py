@@ -11,9 +11,18 @@ from insdvl_replay import __version__
 from insdvl_replay.calibration.calibration import AXES, Calibration
 from insdvl_replay.calibration.certainty import mean_change, one_by_one
 from insdvl_replay.calibration.fit import delay_profile
-from insdvl_replay.calibration.innovations import LATEST_S, NO_CHANGE, SKIPPED, DiveInnovations
+from insdvl_replay.calibration.innovations import (
+    DELAY,
+    LABELS,
+    LATEST_S,
+    NO_CHANGE,
+    PARAMETERS,
+    SHARED,
+    SKIPPED,
+    DiveInnovations,
+    Geometry,
+)
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import DELAY, LABELS, PARAMETERS, SHARED, Geometry
 from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
@@ -40,15 +49,8 @@ from insdvl_replay.preparation.run import FIT
 from insdvl_replay.show.document import counted, number, table_of
 from insdvl_replay.show.figures import Clock
 
-KEYS: Final = {
-    "latency_s": ("delay", "reference_clock"),
-    "lever_arm_m": ("arm", "reference_arm"),
-    "mounting_rpy_deg": ("mounting", "reference_mounting"),
-    "scale": ("scale",),
-}
-"""Key in ``[dvl]`` and ``[reference]``, and the groups of parameters that it holds."""
 DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
-_GROUPS: Final = {parameter.name: parameter.group for parameter in SHARED}
+_KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
 
 def calibration_result(found: Calibration, config: Config, written: str = "", figures: Sequence[Figure] = ()) -> Result:
@@ -78,7 +80,9 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
     facts: dict[str, Any] = {"before": {"dvl": found.before}, "after": {"dvl": found.after}, "doubts": found.doubts}
     if reference:
         for name, settings in (("before", reference.before), ("after", reference.after)):
-            facts[name]["reference"] = {key: getattr(settings, key) for key in KEYS if key != "scale"}
+            facts[name]["reference"] = {
+                key: getattr(settings, key) for key in Geometry.__struct_fields__ if key != "scale"
+            }
     return Result(
         "calibration",
         title,
@@ -206,8 +210,8 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
 def _change(row: ParameterRow) -> str:
     if row.status == Estimated.HELD or row.change is None:
         return Estimated.HELD
-    sign, doubt = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.DOUBTFUL else ""
-    return f"{sign}{number(abs(row.change))}{doubt}"
+    sign, mark = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.DOUBTFUL else ""
+    return f"{sign}{number(abs(row.change))}{mark}"
 
 
 def _axes(name: str, row: DiveRow) -> str:
@@ -250,12 +254,12 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
 
 
 def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geometry) -> Iterator[str]:
-    for key, groups in KEYS.items():
-        own = [row for row in rows if _GROUPS[row.parameter] in groups]
+    for key in Geometry.__struct_fields__:
+        own = [row for row in rows if _KEYS[row.parameter] == key]
         old, new = getattr(before, key), getattr(after, key)
         if old == new and all(row.status == Estimated.NOT_ASKED for row in own):
             continue
-        yield from (f"# {_in_words(row)}" for row in own)
+        yield from (f"# {_comment(row)}" for row in own)
         if old != new or any(row.status == Estimated.ESTIMATED for row in own):
             # Digits that mean nothing are left out; what has not moved stays to the bit.
             pairs = zip(np.atleast_1d(old).tolist(), np.atleast_1d(new).tolist(), strict=True)
@@ -263,7 +267,7 @@ def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geome
             yield f"{key} = {toml_value(values if isinstance(new, tuple) else values[0])}"
 
 
-def _in_words(row: ParameterRow) -> str:
+def _comment(row: ParameterRow) -> str:
     match row.status:
         case Estimated.NOT_ASKED:
             return f"{row.parameter}: not asked"

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.calibration.calibration import (
-    BELIEVABLE_SCALE,
-    BELIEVABLE_SDS,
     MANY_TIMES,
+    PLAUSIBLE_SCALE,
+    PLAUSIBLE_SDS,
     Calibration,
     ReferenceCalibration,
     Refusals,
@@ -33,16 +33,9 @@ from insdvl_replay.calibration.calibration import (
 from insdvl_replay.calibration.certainty import SEEN, Certainty, differing
 from insdvl_replay.calibration.fit import Fit, Linearised, scatter_of
 from insdvl_replay.calibration.innovations import (
-    NO_CHANGE,
-    DiveInnovations,
-    Mask,
-    ReadDive,
-    central_differences,
-    with_dvl,
-)
-from insdvl_replay.calibration.parameters import (
     CLOCK,
     HEADING,
+    NO_CHANGE,
     PRIOR_SD,
     REFERENCE_ARM,
     REFERENCE_MOUNTING,
@@ -50,9 +43,14 @@ from insdvl_replay.calibration.parameters import (
     SHARED,
     SHARED_SD,
     SHARED_STEPS,
+    DiveInnovations,
     Geometry,
+    Mask,
+    ReadDive,
+    central_differences,
     moved_mounting,
     moved_pings,
+    with_dvl,
 )
 from insdvl_replay.calibration.rows import ReferenceDiveRow, StartRow
 from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, at_time, nanoseconds, seconds
@@ -71,8 +69,8 @@ from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.preparation.run import fitted_start, run_one
 
 COUNT: Final = len(SHARED)
+# Of each dive alone, where the reference has no attitude: the filter's heading, and how it drifts over the dive.
 OWN: Final = 2
-"""Of each dive alone, where the reference has no attitude: the filter's heading, and how it drifts over the dive."""
 OF_DVL: Final = (HEADING, SCALE)  # what a reference may move of the DVL
 SETTLED_S: Final = 30.0  # after the start, which hangs on the reference
 APART_S: Final = 0.5  # rows of the reference that are nearer to each other would say the same
@@ -81,13 +79,13 @@ LATEST_CLOCK_S: Final = 1.0
 LOST_HEADING_SD: Final = 10.0 * DEG
 ATTITUDE, LEVEL, MOTION = 0, 1, 2  # families of rows
 ROUNDS: Final = 5
+# Between two samples of the IMU the attitude is interpolated, which shifts a clock by about as much on all dives.
 FINEST_CLOCK_S: Final = 2e-4
-"""Between two samples of the IMU the attitude is interpolated, which shifts a clock by about as much on all dives."""
+# Of what the innovations said of the DVL, the reference moves scale, pitch and heading; what may be wrong of the rest
+# counts in every standard deviation. Velocities just behind a ping would mistake its noise for a delay.
 CONSIDERED: Final = np.array(
     [parameter.name in ("delay", "mounting_x", "arm_x", "arm_y", "arm_z") for parameter in SHARED]
 )
-"""Of what the innovations said of the DVL, the reference moves scale, pitch and heading; what may be wrong of the rest
-counts in every standard deviation. Velocities just behind a ping would mistake its noise for a delay."""
 WAY: Final = "way made good beside the reference"
 
 
@@ -211,7 +209,7 @@ class ReferenceDive:
     @cached_property
     def information_of_pings(self) -> Floats:
         """What pings of such a scatter can tell at most, of `SHARED`; zero but for the DVL's heading and scale."""
-        innovations = self.asked.history(self.change).innovations[0]
+        innovations = self.asked.runner(self.change)(self.asked.filter)
         scatter, velocity_b = scatter_of(innovations.innovation), innovations.measured
         information = np.zeros(COUNT)
         information[HEADING] = np.sum((velocity_b[:, [1, 0]] / scatter[:2]) ** 2)
@@ -279,7 +277,7 @@ class ReferenceFit(Fit):
     def certainty(self) -> Certainty:
         """Three standard deviations of each of `SHARED`, as those of a calibration without reference."""
         cov, considered = solved(self, self.information)
-        moved, _ = solved(self, self.total(near.curvature for near in self.dives))
+        moved, _ = solved(self, self.squares("jacobian", 3))
         # What the prior says is one measurement of its own.
         correlated = considered + np.sum((moved / self.prior_sd) ** 2, axis=1)
         for rows, time_s, near in zip(self.rows, self.times_s, self.dives, strict=True):
@@ -398,10 +396,17 @@ def with_reference(
             dvl_rows[row] = msgspec.structs.replace(rows[row], why=WAY)
             change[row] = proposed[row]
     after = found.before.changed(change)
-    doubts = _doubts(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
-    reference = ReferenceCalibration(
-        before, before.changed(proposed[CLOCK:]), rows[CLOCK:], dive_rows, tuple(_starts(reads, after))
-    )
+    doubts = _warnings(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
+    # The headings at the start that only positions tell, with the DVL as it is proposed.
+    starts = []
+    for read in reads:
+        known = read.dive.reference
+        if known is not None and known.has_position and not known.has_attitude:
+            with suppress(LogError):
+                start = fitted_start(read.dive, with_dvl(read.config, after))
+                gyro = (start.gyro_bias_degph, start.gyro_bias_sd_degph)
+                starts.append(StartRow(read.dive.name, start.heading_deg, start.heading_sd_deg, *gyro))
+    reference = ReferenceCalibration(before, before.changed(proposed[CLOCK:]), rows[CLOCK:], dive_rows, tuple(starts))
     return replace(
         found,
         rows=tuple(dvl_rows),
@@ -422,9 +427,9 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
             yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
-        elif row == SCALE and abs(np.expm1(change[row])) > BELIEVABLE_SCALE:
+        elif row == SCALE and abs(np.expm1(change[row])) > PLAUSIBLE_SCALE:
             yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: is the reference's velocity in m/s?")
-        elif abs(change[row]) > BELIEVABLE_SDS * parameter.prior_sd:
+        elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
             yield row, (Estimated.DOUBTFUL, "too far from the configuration: are axes and clocks the same?")
 
 
@@ -439,18 +444,9 @@ def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
     return ReferenceDiveRow(dive.asked.name, count, unit, rms_before, rms, *map(finite_or_none, (*numbers, *turns)))
 
 
-def _starts(reads: Sequence[ReadDive], geometry: Geometry) -> Iterator[StartRow]:
-    """Fit the headings at the start that only positions tell, with the DVL as it is proposed."""
-    for read in reads:
-        reference = read.dive.reference
-        if reference is not None and reference.has_position and not reference.has_attitude:
-            with suppress(LogError):
-                start = fitted_start(read.dive, with_dvl(read.config, geometry))
-                gyro = (start.gyro_bias_degph, start.gyro_bias_sd_degph)
-                yield StartRow(read.dive.name, start.heading_deg, start.heading_sd_deg, *gyro)
-
-
-def _doubts(certainty: Certainty, kept: Mask, dives: Sequence[ReferenceDiveRow], *, independent: bool) -> Iterator[str]:
+def _warnings(
+    certainty: Certainty, kept: Mask, dives: Sequence[ReferenceDiveRow], *, independent: bool
+) -> Iterator[str]:
     if not independent:
         yield "the reference is made from the same IMU or DVL (reference.independent = false), and repeats their errors"
     for row in np.flatnonzero(kept & (np.nan_to_num(certainty.birge) > MANY_TIMES)).tolist():
@@ -461,5 +457,5 @@ def _doubts(certainty: Certainty, kept: Mask, dives: Sequence[ReferenceDiveRow],
             )
     for dive in dives:
         left, sd = dive.track_scale_after_pct, dive.track_scale_sd_pct
-        if kept[SCALE] and left is not None and sd is not None and abs(left) > BELIEVABLE_SDS * sd:
+        if kept[SCALE] and left is not None and sd is not None and abs(left) > PLAUSIBLE_SDS * sd:
             yield f"{dive.dive}: by its track, the scale is still off by {left:+.2f} % (sd {sd:.2f} %)"

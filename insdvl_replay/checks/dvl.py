@@ -9,16 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.imu import (
-    AXES,
-    ENOUGH,
-    LONGEST_STEP_S,
-    Remark,
-    lies_within,
-    since_s,
-    turned_by,
-    warning,
-)
+from insdvl_replay.checks.imu import AXES, ENOUGH, LONGEST_STEP_S, lies_within, since_s, turned_by
+from insdvl_replay.checks.sentences import Remark, refusal, warning
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -30,7 +22,6 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, FASTEST_MPS
 from insdvl_replay.geometry.frames import Complex, DvlMounting, horizontal, north_east_m, solve_beams
 from insdvl_replay.geometry.rotation import wrap_angle
@@ -40,7 +31,6 @@ COHERENT: Final = 0.97  # only what follows the reference this well can be measu
 INCOHERENT: Final = 0.95  # what follows the reference worse than this contradicts it
 
 _SCALES: Final = np.concatenate([[DEG], np.geomspace(0.3, 3.0, 93), [1.0 / DEG]])
-_UNIT_HINT: Final = 'dvl.velocity_unit = "mm/s", or "cm/s"; a wrong beam geometry is never that wrong'
 
 
 @dataclass(frozen=True)
@@ -118,24 +108,16 @@ def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None,
     """Check the pings of a DVL."""
     speed_mps, values, count = median_speed_mps(dvl), measured_mps(dvl), len(dvl.time_ns)
     if speed_mps > FASTEST_MPS:
-        text = f"the DVL's largest component is {speed_mps:g} m/s in the median of its pings"
-        yield LogError(text, _UNIT_HINT, place)
+        yield refusal("dvl_too_fast", place, speed_mps=speed_mps)
     zero = np.flatnonzero((values == 0.0).all(axis=1))
     if zero.size:
-        text = (
-            f"{zero.size} of {len(values)} pings are exactly zero, the first {since_s(dvl.time_ns, zero[0]):.1f} s "
-            "after the first ping: the instrument may have had no lock"
-        )
-        yield warning("dvl_zero", text, int(zero.size), 'dvl.valid = "field.path" names what marks good pings')
+        yield warning("dvl_zero", int(zero.size), pings=len(values), first_s=since_s(dvl.time_ns, zero[0]))
     names = AXES if dvl.velocity_d is not None else [f"along beam {i + 1}" for i in range(values.shape[1])]
     for name, column in zip(names, values.T, strict=True):
         given = column[np.isfinite(column)]
         if len(given) >= ENOUGH and np.all(given == given[0]):
-            text = (  # never a negative zero
-                f"the velocity {name} is {given[0] + 0.0:g} m/s in all {len(given)} pings that have it, from the first "
-                "on"
-            )
-            yield warning("dvl_constant", text, len(given), "dvl.velocity or dvl.beam_velocity names other fields")
+            value = given[0] + 0.0  # never a negative zero
+            yield warning("dvl_constant", len(given), name=name, value=value)
     if reference is None:
         return
 
@@ -153,31 +135,22 @@ def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None,
     turned = found is not None and follows and abs(found.turn) > 10.0 * DEG
     if found is not None and follows and (turned or not opposite):
         yield from scale_remarks(place, found.scale, dvl, config)
-    since = "from the first ping on"
     if found is not None and turned:
         roll, pitch, heading = config.dvl.mounting_rpy_deg
         right = float(wrap_angle(np.asarray(heading * DEG - found.turn))) / DEG
-        text = f"the DVL's velocity is turned by {found.turn / DEG:.0f} deg from the reference's, {since}"
-        hint = f"dvl.mounting_rpy_deg = [{roll:g}, {pitch:g}, {right:.0f}], or another reference.axes"
-        yield warning("dvl_direction", text, count, hint)
+        yield warning("dvl_direction", count, turn_deg=found.turn / DEG, roll=roll, pitch=pitch, heading=right)
     elif opposite:
-        text = f"the DVL's velocity has the opposite sign of the reference's along {' and '.join(opposite)}, {since}"
-        hint = 'dvl.axes = "flu" where it is "frd" now, or the reverse; for beams, dvl.beam_azimuth_deg'
-        yield warning("dvl_axes", text, count, hint)
+        yield warning("dvl_axes", count, axes=" and ".join(opposite))
     elif found is not None and found.coherence < INCOHERENT:
-        text = f"the DVL's velocity does not follow the reference's, {since} (coherence {found.coherence:.2f})"
-        hint = "dvl.beam_azimuth_deg, dvl.axes, reference.axes, or dvl.stamp and reference.stamp"
-        yield warning("dvl_contradiction", text, count, hint)
+        yield warning("dvl_contradiction", count, coherence=found.coherence)
 
 
 def scale_remarks(place: str, scale: float, dvl: DvlColumns, config: Config) -> Iterator[Remark]:
     """Warn of the scale of a DVL, and refuse what must be another unit."""
-    text = f"the DVL's velocity is {scale:.3f} times the reference's, from the first ping on"
     if not 0.2 < scale < 5.0:
-        yield LogError(text, _UNIT_HINT, place)
+        yield refusal("dvl_unit", place, scale=scale)
     elif abs(scale - 1.0) > LARGEST_SCALE_ERROR:
-        hint = f"dvl.scale = {scale * config.dvl.scale:.3f}, or dvl.beam_tilt_deg"
-        yield warning("dvl_scale", text, len(dvl.time_ns), hint)
+        yield warning("dvl_scale", len(dvl.time_ns), scale=scale, setting=scale * config.dvl.scale)
 
 
 @dataclass(frozen=True)

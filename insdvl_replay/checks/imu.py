@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.checks.sentences import Remark, refusal, warning
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -18,9 +19,7 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG, MG
-from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import earth
 from insdvl_replay.geometry.rotation import vector_from_mat
 
@@ -39,13 +38,6 @@ _UNIT_BY_RATIO: Final = (
     (1e-3, "g"),
     (1e3, "mg"),
 )
-
-Remark = Note | LogError  # an error where the tables would be wrong, a note where they may be
-
-
-def warning(code: str, text: str, count: int, hint: str) -> Note:
-    """Make a warning; each has a hint."""
-    return Note(code, text, count, Severity.WARNING, hint)
 
 
 def since_s(time_ns: TimeNs, row: int) -> float:
@@ -69,37 +61,29 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
     some_b = imu.angular_rate_b[:: 1 + count // 100_000]
     turning_radps = float(np.median(np.linalg.norm(some_b, axis=1)))
     if turning_radps > SPIN_RADPS and span_s > _LEAST_S:
-        yield LogError(
-            f"the angular rate is {turning_radps:.3f} rad/s in the median, {turning_radps / DEG:.0f} deg/s, "
-            "and no vehicle turns so fast for so long",
-            'imu.angular_rate_unit = "deg/s", or imu.angular_rate = "field.path" names another field',
-            place,
-        )
+        yield refusal("imu_spinning", place, turning_radps=turning_radps, turning_degps=turning_radps / DEG)
 
     # The rate.
     steps_ns = np.diff(imu.time_ns)
     short_ns = steps_ns[steps_ns <= nanoseconds(settings.max_gap_s)]
     rate_hz = NS_PER_S / float(short_ns.mean()) if len(short_ns) >= ENOUGH else np.inf
-    text = f"the IMU has {rate_hz:.1f} samples a second, too few for an INS to follow a vehicle's motion, from 0 s on"
     if rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
-        hint = f"imu.topic names a faster one; imu.min_rate_hz = {np.floor(rate_hz):g} tries with this one"
-        yield LogError(text, hint, place)
+        yield refusal("imu_too_slow", place, rate_hz=rate_hz, least_hz=np.floor(rate_hz))
     elif rate_hz < 40.0:  # a vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it
-        yield warning("imu_slow", text, count, "imu.topic names a faster one, if the log has any")
+        yield warning("imu_slow", count, rate_hz=rate_hz)
 
     # Axes that never change: none of a vehicle in water is constant to the last bit for ten seconds.
     by_name = {"specific_force": ("m/s^2", imu.specific_force_b), "angular_rate": ("rad/s", imu.angular_rate_b)}
     for name, (unit, readings) in by_name.items() if span_s >= 10.0 else ():
-        quantity, hint = name.replace("_", " "), f'imu.{name} = "field.path" names another field'
+        known = {"name": name, "quantity": name.replace("_", " "), "unit": unit}
         # The last reading mostly shows that they are not the same.
         same = readings[-1] == readings[0]
         same[same] = (readings[:, same] == readings[0, same]).all(axis=0)
         if same.all() and not readings[0].any():
-            yield LogError(f"the {quantity} is zero in all {count} samples of the IMU", hint, place)
+            yield refusal("imu_zero", place, count=count, **known)
             break
         for axis in np.flatnonzero(same).tolist():
-            text = f"{quantity} {AXES[axis]} is {readings[0, axis]:g} {unit} in all {count} samples, from 0 s on"
-            yield warning("imu_constant", text, count, hint)
+            yield warning("imu_constant", count, axis=AXES[axis], value=readings[0, axis], **known)
 
     # Runs of over a second in which all six readings repeat.
     same = imu.specific_force_b[1:, 0] == imu.specific_force_b[:-1, 0]
@@ -110,12 +94,8 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
     lengths_s = seconds(imu.time_ns[ends], imu.time_ns[starts])
     long = np.flatnonzero(lengths_s > 1.0)
     if long.size:
-        repeats = int(np.sum(ends[long] - starts[long]))
-        text = (
-            f"{repeats} samples of the IMU repeat all readings of the one before for over 1 s, the first at "
-            f"{since_s(imu.time_ns, starts[long[0]]):.1f} s, the longest run of {lengths_s.max():.1f} s"
-        )
-        yield warning("imu_stuck", text, repeats, "--start and --end leave them out")
+        repeats, first_s = int(np.sum(ends[long] - starts[long])), since_s(imu.time_ns, starts[long[0]])
+        yield warning("imu_stuck", repeats, first_s=first_s, longest_s=lengths_s.max())
     yield from _gravity_remarks(place, imu, reference, settings)
 
 
@@ -138,28 +118,21 @@ def _gravity_remarks(
     size = float(np.median(sizes))
     ratio = size / gravity
     if not ratio:
-        hint = 'imu.specific_force = "field.path" names another field'
+        cure = 'imu.specific_force = "field.path" names another field'
     elif unit := next((unit for wrong, unit in _UNIT_BY_RATIO if abs(ratio / wrong - 1.0) < 0.1), None):
-        hint = f'imu.specific_force_unit = "{unit}"'
+        cure = f'imu.specific_force_unit = "{unit}"'
     else:
-        hint = f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
-    text = (
-        f"the specific force is {size:.3f} m/s^2 in the median of quiet seconds, where gravity is {gravity:.3f} m/s^2"
-    )
+        cure = f"imu.specific_force_scale = {ratio * settings.specific_force_scale:.4g}"
+    found = {"size": size, "gravity": gravity, "cure": cure}
     along_down, above = float(np.median(mean_b[:, 2])), mean_b[:, 2] > 0.0
     if not 1.0 / 1.5 < ratio < 1.5 and since_s(imu.time_ns, -1) > _LEAST_S:  # another unit, or another scale
-        yield LogError(text, hint, place)
+        yield refusal("imu_no_gravity", place, **found)
     elif abs(ratio - 1.0) > 0.05:  # no bias of a working accelerometer reaches 50 mg
         off = np.abs(sizes / gravity - 1.0) > 0.05
-        text += f"; the first time at {since_s(imu.time_ns, starts[off][0]):.1f} s"
-        yield warning("imu_gravity", text, int(off.sum()), hint)
+        yield warning("imu_gravity", int(off.sum()), first_s=since_s(imu.time_ns, starts[off][0]), **found)
     elif along_down > 0.0:
-        text = (
-            f"the specific force along down is {along_down:+.3f} m/s^2 in the median of quiet seconds, the first time "
-            f"at {since_s(imu.time_ns, starts[above][0]):.1f} s, where a level vehicle has {-gravity:.3f} m/s^2"
-        )
-        hint = 'imu.axes = "flu" turns y and z; imu.specific_force_axes = "-x-y-z" turns the sign of the force alone'
-        yield warning("imu_upside_down", text, int(above.sum()), hint)
+        first_s = since_s(imu.time_ns, starts[above][0])
+        yield warning("imu_upside_down", int(above.sum()), along_down=along_down, first_s=first_s, level=-gravity)
 
 
 @dataclass(frozen=True)

@@ -24,14 +24,13 @@ from insdvl_replay.checks.imu import (
     ENOUGH,
     LONGEST_STEP_S,
     AttitudeFit,
-    Remark,
     gyro_by_attitude,
     gyro_by_gravity,
     imu_remarks,
     lies_within,
     turned_by,
-    warning,
 )
+from insdvl_replay.checks.sentences import Remark, refusal, warning
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
 from insdvl_replay.core.errors import LogError, Note
@@ -117,44 +116,27 @@ def _gyro_remarks(
 ) -> Iterator[Remark]:
     count = len(imu.time_ns)
     if found is not None and found.off >= found.tolerance:
-        text = f"the angular rate is {found.scale:.3g} times what {found.by} shows, from 0 s on"
+        shown = {"scale": found.scale, "by": found.by}
         if found.scale < 0.0:
-            hint = 'imu.axes = "flu" turns y and z, and imu.specific_force_axes names those of the force where they '
-            yield warning("imu_gyro_sign", text, count, f"{hint}differ")
+            yield warning("imu_gyro_sign", count, **shown)
         elif found.off > UNIT_WRONG:
-            yield LogError(text, f'imu.angular_rate_unit = "{"deg/s" if found.scale > 1.0 else "rad/s"}"', place)
+            yield refusal("imu_gyro_unit", place, unit="deg/s" if found.scale > 1.0 else "rad/s", **shown)
         else:
-            hint = f"imu.angular_rate_scale = {found.scale * settings.angular_rate_scale:.3g}"
-            yield warning("imu_gyro_scale", text, count, hint)
+            yield warning("imu_gyro_scale", count, setting=found.scale * settings.angular_rate_scale, **shown)
     if by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG:  # attitudes that swing less say nothing
         return
     known = by_attitude.excursion >= 3.0 * DEG
     if abs(by_attitude.correlation) < INCOHERENT:
-        text = (
-            "the angular rate does not follow the change of the reference's attitude, from 0 s on "
-            f"(correlation {by_attitude.correlation:.2f})"
-        )
-        hint = "imu.axes, reference.axes, or imu.stamp and reference.stamp"
-        yield warning("imu_gyro_contradiction", text, count, hint)
+        yield warning("imu_gyro_contradiction", count, correlation=by_attitude.correlation)
     elif np.any(known & (by_attitude.by_axis > 0.7)):
         # Axes that turn the other way while another one follows.
         for axis in np.flatnonzero(known & (by_attitude.by_axis < -0.7)).tolist():
-            text = (
-                f"the angular rate {AXES[axis]} turns against the reference's attitude, from 0 s on "
-                f"(correlation {by_attitude.by_axis[axis]:.2f}), while another axis follows it"
-            )
-            hint = "imu.axes, or imu.angular_rate names the fields in another order"
-            yield warning("imu_gyro_axis", text, count, hint)
+            yield warning("imu_gyro_axis", count, axis=AXES[axis], correlation=by_attitude.by_axis[axis])
 
 
 def _track_remarks(place: str, track: TrackFit, dvl: DvlColumns, config: Config) -> Iterator[Remark]:
     if track.coherence < INCOHERENT:
-        text = (
-            "the track of gyros and DVL does not follow the reference's positions, "
-            f"whatever the heading and the scales, from the first ping on (coherence {track.coherence:.2f})"
-        )
-        hint = "initial.gyro_bias_degph, imu.axes, dvl.mounting_rpy_deg, or another imu.topic"
-        yield warning("track_contradiction", text, len(dvl.time_ns), hint)
+        yield warning("track_contradiction", len(dvl.time_ns), coherence=track.coherence)
     if track.coherence < COHERENT:
         return
     yield from scale_remarks(place, track.dvl_scale, dvl, config)
@@ -163,12 +145,8 @@ def _track_remarks(place: str, track: TrackFit, dvl: DvlColumns, config: Config)
         return
     # Gyro bias turns a track by less during a dive.
     if abs(float(wrap_angle(np.asarray(heading_deg * DEG - track.heading)))) > 30.0 * DEG:
-        text = (
-            f"the DVL's track fits the reference's positions with a heading of {track.heading / DEG:.0f} deg at the "
-            f"start, and {heading_deg:g} deg are configured, from the first ping on"
-        )
-        hint = f"initial.heading_deg = {track.heading / DEG:.0f}, or dvl.mounting_rpy_deg where the heading is known"
-        yield warning("dvl_direction", text, len(dvl.time_ns), hint)
+        fitted_deg = track.heading / DEG
+        yield warning("dvl_direction by positions", len(dvl.time_ns), fitted_deg=fitted_deg, heading_deg=heading_deg)
 
 
 def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:
@@ -208,10 +186,8 @@ def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
         turned = turned_by(imu, seconds(imu.time_ns, imu.time_ns[0]), LONGEST_STEP_S)
         if np.ptp(turned, axis=0).max() > 30.0 * DEG:  # beyond the gyros' bias and Earth's rate
             found.append(("attitude", "the gyros show turns"))
-    for name, doing in found:
-        text = f"the {name} of the reference is the same in all its rows, from the first on, while {doing}"
-        hint = "reference.topic and reference.fix name others"
-        yield warning("reference_constant", text, len(reference.time_ns), hint)
+    for quantity, doing in found:
+        yield warning("reference_constant", len(reference.time_ns), quantity=quantity, doing=doing)
 
 
 def _is_constant(rows: Floats) -> bool:
@@ -256,12 +232,7 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     coherence = float(product / (np.sqrt(power) * np.linalg.norm(by_position_m)))
     if coherence < 0.8:
         count = int(np.count_nonzero(reference.known["positions"] & reference.known["velocities"]))
-        text = (
-            "the positions of the reference do not move as its velocity says, from the first on "
-            f"(coherence {coherence:.2f})"
-        )
-        hint = "reference.axes, reference.angle_unit, or the fields reference.latitude, longitude and velocity_n"
-        yield warning("reference_contradiction", text, count, hint)
+        yield warning("reference_contradiction", count, coherence=coherence)
         return
     # Noise of the velocity makes the one too small, noise of the positions the other too large: the scale lies between.
     scale, at_most = float(product / power), float(np.vdot(by_position_m, by_position_m).real / product)
@@ -269,11 +240,8 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     scale_sd = float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real)) / power
     # Fewer than ten legs do not tell how they scatter.
     if len(by_position_m) >= 10 and max(scale - 1.0, 1.0 - at_most) >= max(0.003, 3.0 * scale_sd):
-        text = (
-            f"the positions of the reference go {100.0 * abs(scale - 1.0):.2f} +- {100.0 * scale_sd:.2f} % "
-            f"{'further' if scale > 1.0 else 'less far'} than its velocity says; it cannot be right in both"
-        )
-        yield warning("reference_scale", text, len(by_position_m), "a DVL whose dvl.scale fits the one fails the other")
+        off_pct, sd_pct, way = 100.0 * abs(scale - 1.0), 100.0 * scale_sd, "further" if scale > 1.0 else "less far"
+        yield warning("reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, way=way)
 
 
 def _jump_notes(
@@ -282,9 +250,5 @@ def _jump_notes(
     jumps = find_jumps(unlike, smallest)
     if jumps.size:
         largest = int(jumps[np.argmax(unlike[jumps])])
-        text = (
-            f"the {quantity} of the reference jump in {jumps.size} of {len(unlike)} steps, the most by "
-            f"{unlike[largest] / factor:.1f} {unit} at {time_s[largest + 1]:.1f} s after the first"
-        )
-        hint = "--start and --end choose a part without jumps, which count as errors of the filters"
-        yield warning("reference_jump", text, int(jumps.size), hint)
+        known = {"quantity": quantity, "steps": len(unlike), "unit": unit, "at_s": time_s[largest + 1]}
+        yield warning("reference_jump", int(jumps.size), largest=unlike[largest] / factor, **known)

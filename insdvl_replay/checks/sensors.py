@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.checks.imu import ENOUGH, warning
+from insdvl_replay.checks.imu import ENOUGH
+from insdvl_replay.checks.sentences import warning
 from insdvl_replay.core.config import Config, Depth
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
@@ -22,14 +23,12 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 
-_OWN_SHARE: Final = 0.5  # so many of a sensor's readings are in the reference by no accident
+_SHARED: Final = 0.5  # so many of a sensor's readings are in the reference by no accident
 _SAME_RAD: Final = 1e-9  # readings that differ by less come from one message: 6 mm of latitude
-_ZERO_HINT: Final = "depth.surface_height_m, of depth 0 above the ellipsoid, or leave it out"
 
 
 # --- Readings that are the reference's own.
@@ -73,11 +72,7 @@ def sensor_notes(
             and span_s >= 30.0
             and np.array_equal(values, np.broadcast_to(values[0], values.shape), equal_nan=True)
         ):
-            text = (
-                f"all {all_count} readings of the {name} are the same, over {span_s:.0f} s: it is stuck, not "
-                "connected, or too coarse for how little the vehicle moves"
-            )
-            stuck.append(warning(f"{name}_stuck", text, all_count, f"{name}.topic names another one"))
+            stuck.append(warning("{name}_stuck", all_count, name=name, span_s=span_s))
         if reference is None or name not in ("depth", "heading", "position"):
             continue
         latency_s = getattr(config, name).latency_s - config.reference.latency_s
@@ -92,10 +87,8 @@ def sensor_notes(
                 same = np.asarray(np.abs(wrap_angle(values[:, 0] - heading)) < _SAME_RAD)
             else:
                 same = np.asarray((np.abs(values[:, :2] - position[:, :2]) < _SAME_RAD).all(axis=1))
-        if (count := int(same.sum())) > _OWN_SHARE * all_count:
-            text = f"{count} of {all_count} readings of the {name} are the reference's own"
-            hint = f'evaluation.held_out = ["{name}"] judges by them; filters aided by them need another reference'
-            shared.append(warning(f"{name}{IS_REFERENCE}", text, count, hint))
+        if (count := int(same.sum())) > _SHARED * all_count:
+            shared.append(warning("{name}_is_reference", count, name=name, readings=all_count))
     return (*stuck, *shared)
 
 
@@ -135,10 +128,9 @@ def solution_notes(
             found["ways"] = int(np.count_nonzero((apart_m < 1e-3) & (far_m > 0.1)))
         quantity, count = max(found.items(), key=lambda item: item[1])
         all_count = len(solution.motion.time_ns)
-        if count > max(_OWN_SHARE * all_count, 10):
-            text = f"{count} of {all_count} {quantity} of filters.{name}.solution are the reference's"
-            hint = "reference.topic and reference.fix name what it is to be judged by"
-            notes.append(warning(f"solution_{name}{IS_REFERENCE}", text, count, hint))
+        if count > max(_SHARED * all_count, 10):
+            known = {"name": name, "rows": all_count, "quantity": quantity}
+            notes.append(warning("solution_{name}_is_reference", count, **known))
     return tuple(notes)
 
 
@@ -180,16 +172,10 @@ def _contradictions(name: str, columns: SensorColumns, known: ReferenceColumns, 
         mean = float(np.angle(np.mean(np.exp(1j * off))))
         spread = float(np.median(np.abs(wrap_angle(off - mean))))
         if spread > 20.0 * DEG:  # no compass that is turned to true north scatters so
-            text = (
-                f"the heading does not follow the {whose}'s: with the mean difference of {mean / DEG:+.0f} deg taken "
-                f"off, half of its {len(off)} readings are still more than {spread / DEG:.0f} deg off"
-            )
-            hint = "heading.angle_unit, heading.axes or heading.stamp"
-            yield warning("heading_contradiction", text, len(off), hint)
+            spreads = {"mean_deg": mean / DEG, "spread_deg": spread / DEG}
+            yield warning("heading_contradiction", len(off), whose=whose, **spreads)
         elif zero is not None and abs(mean) > 5.0 * DEG:  # no AHRS errs by more in the mean
-            text = f"the heading is {mean / DEG:+.1f} deg off the reference's, in the mean of {len(off)} readings"
-            hint = "heading.declination_deg, heading.mounting_rpy_deg or heading.axes; or the reference is turned"
-            yield warning("heading_contradiction", text, len(off), hint)
+            yield warning("heading_contradiction in the mean", len(off), mean_deg=mean / DEG)
         return
 
     # Changes of depth, where the solution goes down far enough: the height of a baseline drifts. No density makes a
@@ -206,20 +192,14 @@ def _contradictions(name: str, columns: SensorColumns, known: ReferenceColumns, 
         scale = product / power
         follows = abs(product) >= 0.9 * np.sqrt(power * float(down_m @ down_m))
         if follows and not 1.0 / largest < scale < largest:
-            text = f"the depth changes by {scale:.3g} m for each metre that the {whose} goes down"
-            hint = (
-                "depth.pressure_unit or depth.density_kgpm3; depth.depth for what is positive downwards, else "
-                "depth.height"
-            )
-            yield warning("depth_contradiction", text, len(ours_m), hint)
+            yield warning("depth_contradiction", len(ours_m), scale=scale, whose=whose)
             return
     if zero is None or zero.surface_height_m is None:
         return
     off_m = float(np.median(_deeper_m(values, known.mat_nb[row], known.position[row], zero)))
     # Swell and air pressure, and what fresh water makes of a depth.
     if abs(off_m) > 2.0 + 0.03 * float(np.median(np.abs(ours_m))):
-        text = f"the depth is {_below(off_m)} the reference's height, by the median of {len(ours_m)} readings"
-        yield warning("depth_contradiction", text, len(ours_m), _ZERO_HINT)
+        yield warning("depth_contradiction of its zero", len(ours_m), below=_below(off_m))
 
 
 def depth_at_start_notes(
@@ -236,11 +216,8 @@ def depth_at_start_notes(
     # Swell and air pressure, standard deviations of both, and the fastest dive until the first reading.
     if not abs(deeper_m) > 2.0 + 5.0 * sd_m + 2.0 * late_s:
         return ()
-    text = (
-        f"the first depth, {late_s:.2f} s after the start, is {_below(deeper_m)} the height at the start, "
-        f"{start.position[0, 2]:.2f} m"
-    )
-    return (warning("depth_contradiction", text, 1, f"{_ZERO_HINT}; or initial.height_m"),)
+    found = {"late_s": late_s, "below": _below(deeper_m), "height_m": start.position[0, 2]}
+    return (warning("depth_contradiction at the start", 1, **found),)
 
 
 def _deeper_m(values: Floats, mat_nb: Floats, position: Floats, depth: Depth) -> Floats:

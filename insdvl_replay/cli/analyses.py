@@ -179,8 +179,8 @@ def calibrate(
     from insdvl_replay.calibration.calibration import calibrate as calibrated
     from insdvl_replay.calibration.calibration import held_out_row
     from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
+    from insdvl_replay.calibration.innovations import ALL_GROUPS, REFERENCE_GROUPS, Geometry
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
-    from insdvl_replay.calibration.parameters import ALL_GROUPS, REFERENCE_GROUPS, Geometry
     from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.screen import compiling, progress, written
     from insdvl_replay.core.config_file import load_config

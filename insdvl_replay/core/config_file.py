@@ -528,6 +528,8 @@ def toml_value(value: object) -> str:
         return visible(msgspec.json.encode(value).decode().replace("\x7f", "\\u007f"))
     if isinstance(value, tuple | list):
         return f"[{', '.join(toml_value(item) for item in value)}]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{key} = {toml_value(item)}' for key, item in value.items())} }}"
     return repr(value)
 
 

@@ -1,30 +1,34 @@
-"""What the messages of topics with a role show: their clocks, their pings, and whether they are plausible.
+"""What the messages of a log show: clocks, pings and plausibility of each role, and the fields of unknown types.
 
 Where a dive is read, the first error ends the work; here each is kept, and the rest is looked at too.
 """
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import islice
 from typing import Final
 
 import numpy as np
 
-from insdvl_replay.checks.imu import Remark
 from insdvl_replay.checks.reference import plausibility_remarks, says_anything
+from insdvl_replay.checks.sentences import Remark
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import ImuColumns, seconds
+from insdvl_replay.core.dive_columns import Floats, ImuColumns, seconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
+from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, read_sample, read_tables
 from insdvl_replay.logs.columns.topics import Source
-from insdvl_replay.logs.formats.fields import channel_paths, check_encoding
+from insdvl_replay.logs.formats.decoded import DecodedFields
+from insdvl_replay.logs.formats.definitions import PRIMITIVES
+from insdvl_replay.logs.formats.fields import NUMBER, Kinds, channel_paths, check_encoding, open_reader, split_paths
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.recording import Recording
 from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_notes, stamp_notes
@@ -59,7 +63,7 @@ class DryRun:
     obstacles: list[Obstacle] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
-    doubted: set[str] = field(default_factory=set)  # of several topics for one role, those of which there is a warning
+    warned: set[str] = field(default_factory=set)  # of several topics for one role, those of which there is a warning
     refused: dict[str, str] = field(default_factory=dict)  # and those with which a replay would stop, with the reason
     columns: RoleColumns = field(init=False)
 
@@ -72,10 +76,10 @@ class DryRun:
         other_imus: dict[str, ImuColumns] = {}
         for finding in findings:
             if finding.error is not None:
-                self._add_obstacle(finding.error)
+                self._add_blocker(finding.error)
             tables: list[Table] = []
-            with errors_to(self._add_obstacle):
-                read = [self._read(source, self._add_obstacle) for source in finding.sources]
+            with errors_to(self._add_blocker):
+                read = [self._read(source, self._add_blocker) for source in finding.sources]
                 self._remark([*source_notes(finding.sources), *stamp_notes(read)])
                 if self.deep:
                     self._remark(loss_notes(read))
@@ -86,9 +90,9 @@ class DryRun:
                     self._decode(finding.role, tables)
             # What is wrong with one of several topics is no obstacle yet.
             for source in finding.candidates:
-                doubt = partial(self._doubt, source.topic)
-                with errors_to(doubt):
-                    table = self._read(source, doubt)
+                warn = partial(self._warn_of, source.topic)
+                with errors_to(warn):
+                    table = self._read(source, warn)
                     if source.role == "imu":
                         other_imus[source.topic], _ = decode_imu(table, self.config.imu)
                     elif source.role == "reference":
@@ -99,19 +103,19 @@ class DryRun:
                     if own_clocks and own_clocks[0].role == "imu":
                         self.columns.clock_notes([own_clocks[0], self.clocks[-1]])
         if self.columns.imu is not None:
-            with errors_to(self._add_obstacle):
+            with errors_to(self._add_blocker):
                 self._remark(self.columns.clock_notes(own_clocks))
             for remark in self._remarks(self.columns.imu):
                 if isinstance(remark, LogError):
-                    self._add_obstacle(remark)
+                    self._add_blocker(remark)
                 else:
                     self._remark([remark])
         for topic, imu in other_imus.items():
             for remark in self._remarks(imu):
                 if isinstance(remark, LogError):
-                    self._doubt(topic, remark)
+                    self._warn_of(topic, remark)
                 elif remark.code.startswith("imu"):
-                    self.doubted |= {topic} if remark.severity == Severity.WARNING else set()
+                    self.warned |= {topic} if remark.severity == Severity.WARNING else set()
                     self._remark([replace(remark, text=f"{topic}: {remark.text}")])
 
     def examine_others(self, channels: Iterable[LogChannel]) -> None:
@@ -164,7 +168,7 @@ class DryRun:
 
     def _not_decoded(self, role: str, error: UserError) -> None:
         if self.deep or role == "imu" or isinstance(error, ConfigError):
-            self._add_obstacle(error)
+            self._add_blocker(error)
             return
         # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
         text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
@@ -182,11 +186,206 @@ class DryRun:
         """Return no value to copy that only the whole log shows well enough."""
         return hint if self.deep or not _MEASURED.search(hint) else _LOOK_DEEPER
 
-    def _doubt(self, topic: str, error: UserError) -> None:
-        self.doubted.add(topic)
+    def _warn_of(self, topic: str, error: UserError) -> None:
+        self.warned.add(topic)
         self.refused.setdefault(topic, error.inside(self.log.path, topic))
         text = f"{topic}: {error.inside(self.log.path, topic)}"
         self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 
-    def _add_obstacle(self, error: UserError) -> None:
+    def _add_blocker(self, error: UserError) -> None:
         self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
+
+
+# --- Topics of unknown types: vectors and beams by name and size, and single numbers.
+
+# Words and letters by which fields differ that belong together; of two families that begin alike the longer first.
+_FAMILIES: Final = (
+    ("x", "y", "z"),
+    ("X", "Y", "Z"),
+    ("p", "q", "r"),
+    ("u", "v", "w"),
+    ("surge", "sway", "heave"),
+    ("forward", "starboard", "down"),
+    ("fwd", "stbd", "down"),
+    ("roll", "pitch", "yaw"),
+    ("1", "2", "3", "4"),
+    ("0", "1", "2", "3"),
+    ("1", "2", "3"),
+    ("0", "1", "2"),
+)
+_SECONDS: Final = {"sec", "secs", "seconds"}
+_NANOSECONDS: Final = {"nsec", "nsecs", "nanosec", "nanos", "nanoseconds"}
+_BLOCKS: Final = 2
+_MESSAGES: Final = 1000
+_LARGEST_BYTES: Final = 1_000_000
+# Fields that are gone over in one topic: to look at one costs as much as the type has, which may be thousands.
+_MOST_WORK: Final = 1 << 18
+_MOST_WORK_OF_ALL: Final = 1 << 21
+_WIDTHS: Final = range(3, 9)
+_NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc|quat|orient")
+_WORDS: Final = {
+    "specific_force": re.compile(r"acc|force|\b[af]x\b"),
+    "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b|\bp, (\S+\.)?q, "),
+    "velocity": re.compile(r"^(?!.*(ang|gyr)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
+    "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
+    "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
+}
+AS_GRAVITY_MPS2: Final = (0.9 * GRAVITY_MPS2, 1.1 * GRAVITY_MPS2)  # a specific force is known by its size
+
+
+def fitting_units(size: float, units: Mapping[str, float], least: float, most: float) -> tuple[str, ...]:
+    """Return the units, by their SI factors, in which a size is between two limits."""
+    return tuple(unit for unit, factor in units.items() if least < size * factor < most)
+
+
+def _numbers(known: Kinds) -> tuple[list[str], dict[str, list[str]]]:
+    """Return the fields that are numbers, and the names of the numbers in each structure that is in no list."""
+    numbers = [path for path, kind in known.items() if kind == NUMBER or kind in PRIMITIVES]
+    children: dict[str, list[str]] = {}
+    for path in numbers:
+        parent, _, child = path.rpartition(".")
+        if parent and "[*]" not in parent:
+            children.setdefault(parent, []).append(child)
+    return numbers, children
+
+
+def vector_paths(known: Kinds) -> list[str]:
+    """Find what could be a vector or beams among the fields of a type."""
+    numbers, children = _numbers(known)
+    lists = [path.removesuffix("[*]") for path in numbers if path.count("[*]") == 1]
+    structures = {path for path, names in children.items() if sorted(names) == ["x", "y", "z"]}
+    quaternions = {path for path, names in children.items() if sorted(names) == ["w", "x", "y", "z"]}
+    single = {path for path in scalar_paths(known) if path.rpartition(".")[0] not in structures | quaternions}
+    # Fields such as ``ax``, ``ay``, ``az`` or ``p``, ``q``, ``r`` or ``beam_1`` to ``beam_4``.
+    families = set()
+    for path in single:
+        parent, dot, name = path.rpartition(".")
+        complete = (
+            siblings
+            for first, *others in _FAMILIES
+            for place in re.finditer(first, name)
+            for before, after in [(f"{parent}{dot}{name[: place.start()]}", name[place.end() :])]
+            for siblings in [[path, *(f"{before}{other}{after}" for other in others)]]
+            if single.issuperset(siblings)
+        )
+        families |= {", ".join(siblings) for siblings in islice(complete, 1)}
+    return sorted({*structures, *families, *lists})
+
+
+def scalar_paths(known: Kinds) -> list[str]:
+    """Find the single numbers among the fields of a type."""
+    in_times = tuple(f"{path}." for path in time_paths(known))
+    numbers = [path for path in _numbers(known)[0] if f"{path}[*]" not in known and "[*]" not in path]
+    return [path for path in numbers if not path.startswith(in_times)]
+
+
+def time_paths(known: Kinds) -> list[str]:
+    """Find the times and durations of a type: structures of seconds and nanoseconds."""
+    pairs = {path: names for path, names in _numbers(known)[1].items() if len(names) == 2}
+    return [path for path, (first, second) in pairs.items() if first in _SECONDS and second in _NANOSECONDS]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A vector or beams, seen in the first messages."""
+
+    path: str
+    median: Floats  # of each number
+    size: float  # the median length
+    largest: float
+
+    @property
+    def is_beams(self) -> bool:
+        """Whether the numbers are those of a list, or more than a vector has."""
+        return "[*]" in self.path or self.median.size > 3
+
+    @property
+    def force_unit(self) -> str:
+        """The unit in which the vector has the size of gravity; empty if in none."""
+        units = () if self.is_beams else fitting_units(self.size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
+        return units[0] if units else ""
+
+    def __str__(self) -> str:
+        """State what was seen."""
+        numbers = ", ".join(f"{value:.3g}" for value in self.median)
+        return f"median ({numbers}), size {self.size:.3g}, at most {self.largest:.3g}"
+
+
+@dataclass(frozen=True)
+class ProbedTopic:
+    """What the first messages of a topic show."""
+
+    channel: LogChannel
+    known: Kinds  # every path with its type
+    candidates: tuple[Candidate, ...]
+    scalars: dict[str, float]  # the median of each single number
+
+    @property
+    def topic(self) -> str:
+        """Its name."""
+        return self.channel.topic
+
+    def likely(self, quantity: str) -> list[Candidate]:
+        """Return what could be a quantity by its name and number; of a specific force by its size, if none is named so.
+
+        A ``vector`` has any name that is not that of something else.
+        """
+        known = [
+            candidate
+            for candidate in self.candidates
+            if not _NEVER.search(candidate.path.lower()) and candidate.is_beams == quantity.startswith("beam")
+        ]
+        words = _WORDS.get(quantity)
+        named = known if words is None else [candidate for candidate in known if words.search(candidate.path.lower())]
+        if quantity == "specific_force" and not named:
+            return [candidate for candidate in known if candidate.force_unit]
+        return named
+
+
+def probe_topics(log: Recording, channels: Sequence[LogChannel]) -> tuple[list[ProbedTopic], list[str]]:
+    """Look at the first messages of some topics; name those that were too many to be looked at, too."""
+    seen: list[ProbedTopic] = []
+    unseen: list[str] = []
+    work = 0
+    for channel in channels:
+        if channel.messages and work >= _MOST_WORK_OF_ALL:
+            unseen.append(channel.topic)
+        elif channel.messages:
+            # What cannot be read cannot be proposed; it is no error before someone asks for it.
+            with suppress(LogError):
+                topic, looks = _probe(log, channel)
+                seen.append(topic)
+                work += looks * len(topic.known)
+    return [topic for topic in seen if topic.candidates or topic.scalars], unseen
+
+
+def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
+    """Probe a topic; return how many fields were looked at, too."""
+    check_encoding(channel)
+    blocks = []
+    for block in islice(log.blocks({channel.id}), _BLOCKS):
+        # The first messages; of images and sonar records one or two.
+        within = int(np.searchsorted(np.cumsum(block.sizes), _LARGEST_BYTES))
+        blocks.append(block.part(slice(max(1, min(_MESSAGES, within)))))
+    reader = open_reader(channel, ())
+    # In JSON without schema only the messages show which fields there are.
+    for block in blocks[:1]:
+        reader.columns(block)
+    candidates: list[Candidate] = []
+    scalars: dict[str, float] = {}
+    paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
+    for path in paths:
+        # Read one by one, since one field that is not what it seems would spoil the others.
+        parts = split_paths(path)
+        fields = reader.of(parts) if isinstance(reader, DecodedFields) else open_reader(channel, parts)
+        read = (fields.columns(block) for block in blocks)
+        values = [np.concatenate([columns[part].astype(np.float64) for part in parts], axis=1) for columns in read]
+        width = min((columns.shape[1] for columns in values), default=0)
+        every = np.concatenate([columns[:, :width] for columns in values]) if values else np.empty((0, 0))
+        finite = every[np.isfinite(every).all(axis=1)]
+        if len(finite) and width in _WIDTHS:
+            sizes = np.linalg.norm(finite, axis=1)
+            candidates.append(Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())))
+        elif len(finite) and width == 1:
+            scalars[path] = float(np.median(finite))
+    return ProbedTopic(channel, reader.known, tuple(candidates), scalars), len(paths)

@@ -146,35 +146,25 @@ def inventory_csv(inventory: Inventory) -> str:
     Several logs can be laid together, by the column ``log``. Between several values in a cell stands ``; ``. Tables
     without rows are left out, and so are proposed settings, which are none.
     """
-    known = inventory
-    conventions = [
-        {"topic": topic, "key": key, "value": value}
-        for topic, keys in known.conventions.items()
-        for key, value in keys.items()
-    ]
-    tables: dict[str, Sequence[Any]] = {
-        "file": [known.log],
-        "topics": known.topics,
-        "roles": known.roles,
-        "clocks": known.clocks,
-        "pings": [known.pings] if known.pings else [],
-        "reference": [known.reference] if known.reference else [],
-        "notes": known.notes,
-        "obstacles": known.obstacles,
-        "conventions": conventions,
+    known, name = asdict(inventory), inventory.log.name
+    tables: dict[str, list[dict[str, Any]]] = {
+        "file": [known["log"]],
+        "topics": known["topics"],
+        "roles": known["roles"],
+        "clocks": known["clocks"],
+        "pings": [known["pings"]] if known["pings"] else [],
+        "reference": [known["reference"]] if known["reference"] else [],
+        "notes": known["notes"],
+        "obstacles": known["obstacles"],
+        "conventions": [
+            {"topic": topic, "key": key, "value": value}
+            for topic, keys in inventory.conventions.items()
+            for key, value in keys.items()
+        ],
     }
-
-    def cell(value: Any) -> Any:
-        if isinstance(value, dict):
-            value = [f"{key}={part}" for key, part in value.items()]
-        return "; ".join(map(str, value)) if isinstance(value, tuple | list) else value
-
-    blocks = {}
-    for name, rows in tables.items():
-        records = [row if isinstance(row, dict) else asdict(row) for row in rows]
-        if records:
-            values = [(known.log.name, *map(cell, record.values())) for record in records]
-            blocks[name] = (("log", *records[0]), values)
+    blocks = {
+        table: (("log", *rows[0]), [(name, *row.values()) for row in rows]) for table, rows in tables.items() if rows
+    }
     return blocks_csv("table", blocks)
 
 

@@ -32,15 +32,21 @@ from insdvl_replay.core.states import (
     ANGULAR_RATE_UNITS,
     BY_SENSOR,
     DEG,
-    GRAVITY_MPS2,
     SENSORS,
     SPECIFIC_FORCE_UNITS,
     VELOCITY_UNITS,
 )
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
-from insdvl_replay.inspection.dry_run import DryRun
+from insdvl_replay.inspection.dry_run import (
+    AS_GRAVITY_MPS2,
+    Candidate,
+    DryRun,
+    ProbedTopic,
+    fitting_units,
+    probe_topics,
+    time_paths,
+)
 from insdvl_replay.inspection.inventory import Obstacle
-from insdvl_replay.inspection.probe import Candidate, ProbedTopic, probe_topics, time_paths
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import (
@@ -70,12 +76,12 @@ class Setting:
     @property
     def section(self) -> str:
         """Name of the table in which it stands."""
-        return self.key.partition(".")[0]
+        return self.key.rpartition(".")[0]
 
     @property
     def name(self) -> str:
         """Its name in this table."""
-        return self.key.partition(".")[2]
+        return self.key.rpartition(".")[2]
 
 
 def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
@@ -99,7 +105,7 @@ def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
 def ordered(settings: Iterable[Setting]) -> list[Setting]:
     """Return the latest setting of each key, section by section."""
     latest = {setting.key: setting for setting in settings}
-    return sorted(latest.values(), key=lambda setting: Config.__struct_fields__.index(setting.section))
+    return sorted(latest.values(), key=lambda setting: Config.__struct_fields__.index(setting.key.partition(".")[0]))
 
 
 def undecided_keys(settings: Iterable[Setting]) -> tuple[str, ...]:
@@ -137,11 +143,13 @@ def comment_lines(text: str) -> list[str]:
     )
 
 
-def _fields(key: str, candidates: Sequence[Candidate], doubt: str = "") -> Setting:
+def _fields(key: str, candidates: Sequence[Candidate], to_decide: str = "") -> Setting:
     """Propose the first of some fields, with the others as what could stand in its place."""
     first, *others = candidates
     name = key.partition(".")[2]
-    return Setting(key, first.path, str(first), doubt, tuple(f'{name} = "{other.path}"  # {other}' for other in others))
+    return Setting(
+        key, first.path, str(first), to_decide, tuple(f'{name} = "{other.path}"  # {other}' for other in others)
+    )
 
 
 # --- The clocks.
@@ -149,8 +157,8 @@ def _fields(key: str, candidates: Sequence[Candidate], doubt: str = "") -> Setti
 _ENOUGH: Final = 1000
 _HEADER: Final = "header.stamp"
 _CLOCK_NAMES: Final = re.compile(r"time|stamp|clock|epoch|utc|tick|^t$|(^|_)(t_|ts$)|_([mun]s|sec)$")
+# Share of the sample's length by which a clock may wander; what counts from the message before does not run at all.
 _MOST_SPREAD: Final = 0.05
-"""Share of the sample's length by which a clock may wander; what counts from the message before does not run at all."""
 
 
 def _apart(clock: Clock) -> str:
@@ -201,7 +209,6 @@ def _recorder_stamps(
 
 # --- The IMU: topic and fields by their names, units and axes by gravity and the reference.
 
-_SAME: Final = 0.1  # part by which a unit may differ from gravity
 _RATE_COHERENT: Final = 0.95
 _RATE_CLEARLY: Final = 0.02
 _TURNED: Final = 2.0 * DEG
@@ -210,27 +217,27 @@ _AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
 _RATE_UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
 
 
-def _possible_rates(topic: ProbedTopic) -> list[Candidate]:
-    return topic.rates or [candidate for candidate in topic.vectors if candidate not in topic.forces]
-
-
-def _imu_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose a topic with a specific force; an angular rate beside it and the size of gravity speak for it."""
-    candidates = [topic for topic in seen if topic.forces and _possible_rates(topic)]
-    return max(candidates, key=lambda topic: (bool(topic.rates), bool(topic.forces[0].force_unit)), default=None)
-
-
-def _imu_settings(log: Recording, topic: ProbedTopic) -> Iterator[Setting]:
-    force = topic.forces[0]
+def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
+    """Propose a topic with a specific force; an angular rate beside it and the size of gravity speak for it."""
+    candidates = []
+    for topic in topics:
+        forces = topic.likely("specific_force")
+        named = [candidate for candidate in topic.likely("angular_rate") if candidate not in forces]
+        rates = named or [candidate for candidate in topic.likely("vector") if candidate not in forces]
+        if forces and rates:
+            candidates.append((topic, forces, rates, bool(named)))
+    if not candidates:
+        return
+    topic, forces, rates, is_named = max(candidates, key=lambda found: (found[3], bool(found[1][0].force_unit)))
+    force = forces[0]
     yield Setting("imu.topic", topic.topic)
-    yield _fields("imu.specific_force", topic.forces)
+    yield _fields("imu.specific_force", forces)
     if force.force_unit:
         yield Setting("imu.specific_force_unit", force.force_unit, "gravity has this size in it")
     else:
         text = f"{', '.join(SPECIFIC_FORCE_UNITS)}; gravity would be 9.81, 1 or 1000, and the size is {force.size:.3g}"
         yield Setting("imu.specific_force_unit", "m/s2", open=text)
-    doubt = "" if topic.rates else "no field is named like it; this one or another"
-    yield _fields("imu.angular_rate", _possible_rates(topic), doubt)
+    yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named like it; this one or another")
     yield _stamp(log, topic, "imu")
 
 
@@ -239,27 +246,25 @@ def _measured_imu(
 ) -> Iterator[Setting]:
     """Propose units and axes by what gravity and the reference show."""
     # The unit of the force, if it is wrong.
-    read_in = SPECIFIC_FORCE_UNITS[settings.specific_force_unit or "m/s2"]
-    size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / read_in
-    units = {unit: abs(size * factor / GRAVITY_MPS2 - 1.0) < _SAME for unit, factor in SPECIFIC_FORCE_UNITS.items()}
-    fitting = next((unit for unit, is_gravity in units.items() if is_gravity), "")
-    if fitting and not abs(size * read_in / GRAVITY_MPS2 - 1.0) < _SAME:
-        yield Setting("imu.specific_force_unit", fitting, f"the size is {size:.3g}, that of gravity in this unit")
+    read_in = settings.specific_force_unit or "m/s2"
+    size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / SPECIFIC_FORCE_UNITS[read_in]
+    units = fitting_units(size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
+    if units and read_in not in units:
+        yield Setting("imu.specific_force_unit", units[0], f"the size is {size:.3g}, that of gravity in this unit")
     if settings.axes is None and settings.specific_force_axes is None:
         yield from _imu_axes(imu, reference)
     # The unit of the rate.
-    key, by_unit = "imu.angular_rate_unit", {}
+    key = "imu.angular_rate_unit"
     if settings.angular_rate_unit is not None:
         return
-    if found is not None:
-        by_unit = {unit: abs(found.scale) * factor for unit, factor in ANGULAR_RATE_UNITS.items()}
-    unit = next((unit for unit, off in by_unit.items() if 1.0 / UNIT_WRONG < off < UNIT_WRONG), "")
+    scale = 0.0 if found is None else abs(found.scale)
+    units = fitting_units(scale, ANGULAR_RATE_UNITS, 1.0 / UNIT_WRONG, UNIT_WRONG)
     sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
     median, largest = float(np.median(sizes)), float(sizes.max())
     if median > SPIN_RADPS:
         yield Setting(key, "deg/s", f"{median:.3g} in the median, which no vehicle does in rad/s")
-    elif unit and found is not None:
-        yield Setting(key, unit, f"in it the rate fits {found.by}, which rules the other out")
+    elif units and found is not None:
+        yield Setting(key, units[0], f"in it the rate fits {found.by}, which rules the other out")
     else:
         yield Setting(key, "rad/s", f"at most {largest:.3g} was seen, which tells no unit", _RATE_UNITS_OPEN)
 
@@ -275,7 +280,7 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
     # Accelerometers may show the opposite of a force: sign is -1 then.
     upright, opposite = ([(axes, sign) for axes in _level_axes(sign * force)] for sign in (1.0, -1.0))
     possible = [upright[0], opposite[0], *upright[1:], *opposite[1:]]
-    words = [(axes_word(axes), axes_word(sign * axes)) for axes, sign in possible]
+    words = [(axes_text(axes), axes_text(sign * axes)) for axes, sign in possible]
     fits = []
     for rate, _ in words:
         turned = replace(imu, angular_rate_b=in_frd(imu.angular_rate_b, rate, "imu.axes"))
@@ -317,7 +322,7 @@ def _level_axes(force: Floats) -> list[Floats]:
     return [np.stack([axis, np.cross(down, axis), down]) for axis in forward]
 
 
-def axes_word(rows: Floats) -> str:
+def axes_text(rows: Floats) -> str:
     """Write axes as a signed permutation: forward, starboard and down in those of the instrument, (3, 3)."""
     parts = [(int(np.argmax(np.abs(row))), float(row.sum())) for row in rows]
     text = "".join(f"{'+' if sign > 0.0 else '-'}{'xyz'[axis]}" for axis, sign in parts)
@@ -335,28 +340,27 @@ _DVL_CLEARLY: Final = 0.01
 _DVL_AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
 
 
-def _dvl_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose the topic of a DVL: one with a velocity, best with a name that says so."""
-    named = [topic for topic in seen if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
-    moving = [topic for topic in seen if topic.likely("velocity") or topic.likely("beam_velocity")]
+def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
+    """Propose a topic with a velocity, best with a name that is a DVL's."""
+    named = [topic for topic in topics if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
+    moving = [topic for topic in topics if topic.likely("velocity") or topic.likely("beam_velocity")]
     both = [topic for topic in named if topic in moving]
-    return next(iter([*both, *moving, *(topic for topic in named if topic.vectors)]), None)
-
-
-def _dvl_settings(log: Recording, topic: ProbedTopic) -> Iterator[Setting]:
+    candidates = [*both, *moving, *(topic for topic in named if topic.likely("vector"))]
+    if not candidates:
+        return
+    topic = candidates[0]
     beams, velocities, valid = (topic.likely(quantity) for quantity in ("beam_velocity", "velocity", "beam_valid"))
-    velocities = velocities if beams or velocities else topic.vectors
+    velocities = velocities if beams or velocities else topic.likely("vector")
     yield Setting("dvl.topic", topic.topic)
     if velocities:
         yield _fields("dvl.velocity", velocities)
         yield Setting("dvl.kind", "velocity")
     for velocity in [*velocities, *beams][:1]:
-        speeds = {unit: velocity.size * factor for unit, factor in VELOCITY_UNITS.items()}
-        fitting = [unit for unit, speed in speeds.items() if _SLOWEST_MPS < speed < _QUICKEST_MPS]
-        best = fitting[0] if fitting else "m/s"
+        units = fitting_units(velocity.size, VELOCITY_UNITS, _SLOWEST_MPS, _QUICKEST_MPS)
+        best = units[0] if units else "m/s"
         what = "length of all beams' velocities" if velocity.is_beams else "speed"
-        seen = f"the median {what} is {speeds[best]:.3g} m/s then"
-        if len(fitting) == 1:
+        seen = f"the median {what} is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s then"
+        if len(units) == 1:
             yield Setting("dvl.velocity_unit", best, f"{seen}, and in no other unit a vehicle's")
         else:
             yield Setting("dvl.velocity_unit", best, seen, f"the size leaves it open: {', '.join(VELOCITY_UNITS)}")
@@ -406,14 +410,15 @@ def _measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: C
     else:
         seen = f"so it follows the reference's velocity, coherence {coherence:.3f} against {other:.3f}"
         yield Setting("dvl.axes", best, seen)
-    for unit, factor in VELOCITY_UNITS.items():
-        scale = fits[best].scale * factor / VELOCITY_UNITS[config.dvl.velocity_unit or "m/s"]
-        if 1.0 / _CLOSE < scale < _CLOSE:
-            yield Setting("dvl.velocity_unit", unit, f"its speed is then {scale:.3f} times the reference's")
+    scale = fits[best].scale / VELOCITY_UNITS[config.dvl.velocity_unit or "m/s"]
+    for unit in fitting_units(scale, VELOCITY_UNITS, 1.0 / _CLOSE, _CLOSE):
+        text = f"its speed is then {scale * VELOCITY_UNITS[unit]:.3f} times the reference's"
+        yield Setting("dvl.velocity_unit", unit, text)
 
 
 # --- The reference: topic and fields by their names, and in which frame its velocity is.
 
+# An altitude is no height here: most vehicles mean that above the bottom.
 _REFERENCE_WORDS: Final = {
     "latitude": re.compile(r"(^|[._])lat(itude)?([._]|$)"),
     "longitude": re.compile(r"(^|[._])(lon|lng|long|longitude)([._]|$)"),
@@ -422,7 +427,6 @@ _REFERENCE_WORDS: Final = {
     "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
     "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
 }
-"""An altitude is no height here: most vehicles mean that above the bottom."""
 _PLACE: Final = ("latitude", "longitude")
 _ATTITUDE: Final = ("roll", "pitch", "heading")
 _NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
@@ -436,14 +440,12 @@ _MEANT: Final = (
 )
 
 
-def _reference_topic(seen: Sequence[ProbedTopic]) -> ProbedTopic | None:
-    """Choose the topic with the most of a position, a velocity and an attitude."""
-    most = max(seen, key=lambda topic: len(_reference_fields(topic)), default=None)
-    return most if most and _reference_fields(most) else None
-
-
-def _reference_settings(log: Recording, topic: ProbedTopic) -> Iterator[Setting]:
-    fields = _reference_fields(topic)
+def _reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
+    """Propose the topic with the most of a position, a velocity and an attitude."""
+    found = [(topic, _reference_fields(topic)) for topic in topics]
+    topic, fields = max(found, key=lambda pair: len(pair[1]), default=(None, {}))
+    if topic is None or not fields:
+        return
     yield Setting("reference.topic", topic.topic, open=_MEANT)
     yield from (Setting(f"reference.{quantity}", path) for quantity, path in fields.items())
     angles = (*_PLACE, *_ATTITUDE)
@@ -504,27 +506,23 @@ def _measured_reference(log: Recording, source: Source, config: Config) -> Itera
 
 # --- The whole.
 
+# What is proposed for each role, its topic first, and what a person must name where none is found.
 _ROLES: Final = (
-    ("imu", _imu_topic, _imu_settings, ("specific_force", "angular_rate")),
-    ("dvl", _dvl_topic, _dvl_settings, ("velocity",)),
-    ("reference", _reference_topic, _reference_settings, ()),
+    ("imu", _imu_settings, ("specific_force", "angular_rate")),
+    ("dvl", _dvl_settings, ("velocity",)),
+    ("reference", _reference_settings, ()),
 )
-"""How the topic of each role is chosen, what is then proposed for it, and what a person must name where none is found;
-the topic that one has is no other's."""
 _REFERENCE: Final = 2  # its place among the findings
 _LONGEST: Final = 12  # topics that are listed at most
-_DEFAULTS: Final = ("frd", "rad/s")
-"""What a known type is taken to give; only something else is worth a setting."""
+_DEFAULTS: Final = ("frd", "rad/s")  # what a known type is taken to give; only something else is worth a setting
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """Settings that nobody has made yet, and as TOML."""
+    """Settings that nobody has made yet."""
 
-    settings: tuple[Setting, ...] = ()
-    configuration: str = ""
-    decisions: tuple[str, ...] = ()  # keys about which a person must decide
-    obstacles: tuple[Obstacle, ...] = ()  # what stops a replay with it too
+    settings: tuple[Setting, ...]
+    obstacles: tuple[Obstacle, ...] = ()  # what stops a replay with them too
     notes: tuple[Note, ...] = ()
 
 
@@ -549,8 +547,7 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
     if not seen.obstacles and not list(_start(findings, config.initial)):
         contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
         sources = findings[_REFERENCE].sources if contradicted else ()
-        settled = [setting for source in sources for setting in _measured_reference(log, source, config)]
-        return Proposal(tuple(settled), settings_toml(settled))
+        return Proposal(tuple(setting for source in sources for setting in _measured_reference(log, source, config)))
     fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
     settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
@@ -564,8 +561,7 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
         text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
         hint = "name the topic of each role in the configuration"
         notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
-    decisions, obstacles = undecided_keys(settings), tuple(last.obstacles)
-    return Proposal(tuple(settings), settings_toml(settings), decisions, obstacles, tuple(notes))
+    return Proposal(tuple(settings), tuple(last.obstacles), tuple(notes))
 
 
 def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
@@ -577,7 +573,7 @@ def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
         if finding.error and finding.candidates and finding.role in Config.__struct_fields__:
             topics = [source.topic for source in finding.candidates]
             # Those that cannot be it last, before them those with warnings.
-            first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.doubted))
+            first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.warned))
             key = f"{finding.role}.topic"
             if first not in seen.refused and all(topic in seen.refused for topic in others):
                 yield Setting(key, first, "; ".join(f"{topic} cannot be it: {seen.refused[topic]}" for topic in others))
@@ -596,15 +592,15 @@ def _unknown_topics(log: Recording, findings: Sequence[Finding], config: Config)
     taken = {source.topic for finding in findings for source in finding.sources if source.role != "reference"}
     seen, unseen = probe_topics(log, [channel for channel in log.channels if channel.topic not in taken])
     settings: list[Setting] = []
-    for role, choose, settings_of, needed in _ROLES:
+    for role, settings_of, needed in _ROLES:
         if role in wanted:
             named = getattr(config, role).topic
             free = [topic for topic in seen if role != "imu" or topic.topic != config.dvl.topic]
-            # The topic alone that the configuration names, if the log has it.
+            # The topic alone that the configuration names, if the log has it. The topic of one role is no other's.
             candidates = [topic for topic in free if topic.topic == named] or free
-            chosen = choose(candidates)
-            settings += settings_of(log, chosen) if chosen else _listed(role, needed, candidates)
-            seen = [topic for topic in seen if topic is not chosen]
+            proposed = list(settings_of(log, candidates))
+            settings += proposed or _listed(role, needed, candidates)
+            seen = [topic for topic in seen if not proposed or topic.topic != proposed[0].value]
     return settings, unseen
 
 

@@ -18,7 +18,7 @@ from insdvl_replay.core.errors import Note, UserError
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
-from insdvl_replay.inspection.proposal import propose
+from insdvl_replay.inspection.proposal import propose, settings_toml, undecided_keys
 from insdvl_replay.logs.formats.log_file import by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
@@ -42,7 +42,47 @@ def inspect_log(
     """
     log = open_recording(path, allow_damaged=True)
     with log.watched():
-        inventory = _surveyed(log, config, deep=deep, allow_damaged=allow_damaged)
+        findings = find_roles(str(log.path), log.channels, config)
+        seen = DryRun(log, config, deep)
+        seen.examine(findings)
+        sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
+        others = [channel for channel in log.channels if channel.topic not in {source.topic for source in sources}]
+        seen.examine_others(others)
+        log_times = log.log_times()
+        facts = _log_facts(log, log_times)
+        proposal = propose(log, findings, seen, config)
+        # Last of all, since damage inside the chunks is found as they are opened.
+        damage = None if allow_damaged else log.damage_error()
+    notes = [*log.notes, *seen.notes, *proposal.notes]
+    if idle := idle_sensors(str(log.path), log.channels, findings, config):
+        sensors = "; ".join(f"{name} by {' or '.join(topics)}" for name, topics in idle.items())
+        aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
+        hint = f"--set 'filters.told.aiding=[{aiding}]'; evaluation.held_out judges by them"
+        notes.append(Note(_IDLE, f"could aid a filter: {sensors}", len(idle), hint=hint))
+    inventory = Inventory(
+        log=facts,
+        reading=Reading.WHOLE if deep else Reading.SAMPLE,
+        topics=tuple(_topic_facts(log, log_times, findings)),
+        roles=tuple(
+            RoleFacts(
+                finding.role,
+                ", ".join(source.topic for source in finding.sources) or None,
+                finding.reason,
+                tuple(source.topic for source in finding.candidates),
+                {quantity: path for source in finding.sources for quantity, path in source.fields.items()},
+            )
+            for finding in findings
+        ),
+        conventions={source.topic: dict(source.conventions) for source in sources if source.conventions},
+        clocks=tuple(seen.clocks),
+        pings=seen.pings,
+        reference=seen.reference,
+        obstacles=(*([Obstacle(damage.message, damage.hint)] if damage else []), *seen.obstacles),
+        notes=tuple(notes),
+        configuration=settings_toml(proposal.settings),
+        decisions=undecided_keys(proposal.settings),
+        remaining=proposal.obstacles,
+    )
     try:
         if inventory.obstacles or not deep:
             # By what the types of the reference can give; of several, which is chosen decides what it gives.
@@ -62,52 +102,11 @@ def inspect_log(
         from insdvl_replay.preparation.run import prepare_with_heading
 
         dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-        idle = (note for note in inventory.notes if note.code == _IDLE)
-        notes = (*prepare_with_heading(with_reference_at_imu(dive, config), config).notes, *idle)
-        return replace(inventory, notes=dive.notes + notes)
+        unused = (note for note in inventory.notes if note.code == _IDLE)
+        prepared = prepare_with_heading(with_reference_at_imu(dive, config), config)
+        return replace(inventory, notes=(*dive.notes, *prepared.notes, *unused))
     except UserError as error:
         return replace(inventory, obstacles=(*inventory.obstacles, Obstacle(error.message, error.hint)))
-
-
-def _surveyed(log: Recording, config: Config, *, deep: bool, allow_damaged: bool) -> Inventory:
-    findings = find_roles(str(log.path), log.channels, config)
-    seen = DryRun(log, config, deep)
-    seen.examine(findings)
-    sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
-    looked_at = {source.topic for source in sources}
-    seen.examine_others(channel for channel in log.channels if channel.topic not in looked_at)
-    log_times = log.log_times()
-    proposal = propose(log, findings, seen, config)
-    roles = []
-    for finding in findings:
-        topics = ", ".join(source.topic for source in finding.sources)
-        fields = {quantity: path for source in finding.sources for quantity, path in source.fields.items()}
-        candidates = tuple(source.topic for source in finding.candidates)
-        roles.append(RoleFacts(finding.role, topics or None, finding.reason, candidates, fields))
-    notes = [*log.notes, *seen.notes, *proposal.notes]
-    if idle := idle_sensors(str(log.path), log.channels, findings, config):
-        sensors = "; ".join(f"{name} by {' or '.join(topics)}" for name, topics in idle.items())
-        aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
-        hint = f"--set 'filters.told.aiding=[{aiding}]'; evaluation.held_out judges by them"
-        notes.append(Note(_IDLE, f"could aid a filter: {sensors}", len(idle), hint=hint))
-    # Last of all, since damage inside the chunks is found as they are opened.
-    damage = None if allow_damaged else log.damage_error()
-    refused = [] if damage is None else [Obstacle(damage.message, damage.hint)]
-    return Inventory(
-        log=_log_facts(log, log_times),
-        reading=Reading.WHOLE if deep else Reading.SAMPLE,
-        topics=tuple(_topic_facts(log, log_times, findings)),
-        roles=tuple(roles),
-        conventions={source.topic: dict(source.conventions) for source in sources if source.conventions},
-        clocks=tuple(seen.clocks),
-        pings=seen.pings,
-        reference=seen.reference,
-        obstacles=(*refused, *seen.obstacles),
-        notes=tuple(notes),
-        configuration=proposal.configuration,
-        decisions=proposal.decisions,
-        remaining=proposal.obstacles,
-    )
 
 
 def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:

@@ -4,7 +4,7 @@ The log is replayed with what was proposed so far. Where that takes a heading or
 will do, since a DVL's innovations hardly depend on them.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +17,7 @@ from insdvl_replay import __version__
 from insdvl_replay.calibration.fit import CLEARLY, TriedMounting, tried_mountings
 from insdvl_replay.calibration.innovations import ReadDive
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Initial, Noise, Topic
-from insdvl_replay.core.config_file import load_config, toml_value
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ImuColumns
 from insdvl_replay.core.errors import UserError, listed
 from insdvl_replay.core.states import BY_SENSOR, DEG
@@ -27,7 +27,7 @@ from insdvl_replay.evaluation.notes import CLASSES, readings_scatter, sensor_cla
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.proposal import (
     Setting,
-    axes_word,
+    axes_text,
     comment_lines,
     not_yet_set,
     propose_settings,
@@ -43,12 +43,10 @@ from insdvl_replay.replay import replay_dive
 MOST_DIVES: Final = 5  # dives that are read to try a mounting on: more would say the same again
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 CERTAIN_SDS: Final = 5.0  # a scale that a track shows less surely is not worth a line
-_GRADES: Final = ("fog", "tactical", "mems")
-"""Presets from the quietest IMU to the noisiest."""
+_GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
 _NOISES: Final = {"accel_white_mps_rts": "m/s/sqrt(s)", "gyro_white_rad_rts": "rad/sqrt(s)"}
 _ARM_OPEN: Final = "IMU to DVL, forward, starboard, down, as built; `insdvl-replay calibrate` estimates it"
-_NOT_NEEDED: Final = ("dvl.valid",)
-"""Keys of a proposal without a value with which a replay works all the same."""
+_NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ def settings_file(
     default = Config()
     proposal = propose_settings(dives[0], config, allow_damaged=allow_damaged)
     settings: list[Setting] = []
-    # What -c, --set and --preset said, so that the file is whole; topics and filters are written below.
+    # What -c, --set and --preset said, so that the file is whole; topics and filters are added below.
     for section, now in msgspec.structs.asdict(config).items():
         given = _changed(now, getattr(default, section)) if isinstance(now, Struct) else {}
         settings += [Setting(f"{section}.{name}", value, "as given") for name, value in given.items()]
@@ -95,22 +93,28 @@ def settings_file(
         notes = [(dive.name, note) for dive in read for note in dive.notes]
         warnings = [f"{name}: {note.text}" for name, note in notes if note.severity == Severity.WARNING]
     decisions = undecided_keys(settings)
+    for name, topic in config.topics.items():
+        own = _changed(topic, Topic(topic="", values=""))
+        settings += [Setting(f"topics.{name}.{key}", value) for key, value in own.items()]
+    filters = _preset_config(preset, config).filters
+    seen = f"Preset {preset}." if preset else ""
+    for name, filter_ in filters.items() if filters != default.filters else ():
+        own = _changed(filter_, Filter(aiding=()))
+        if filter_.acceleration is not None:
+            own["acceleration"] = _changed(filter_.acceleration, Acceleration(), ("model", "window"))
+        for key, value in own.items():
+            settings.append(Setting(f"filters.{name}.{key}", value, seen))
+            seen = ""
     head = [
         f"insdvl-replay {__version__} inspect --propose: {listed([dive.name for dive in read] or [first.name])}",
         *(f"decide: stops a replay with this: {failure.message}; {failure.hint}" for failure in failures),
         *(f"warning: {warning}" for warning in warnings),
         f"to decide: {', '.join(decisions) or 'nothing'}",
     ]
-    topics = {name: _changed(topic, Topic(topic="", values="")) for name, topic in config.topics.items()}
-    parts = [
-        "".join(f"{line}\n" for text in head for line in comment_lines(text)),
-        settings_toml(settings),
-        _named_tables("topics", topics),
-        _filters_toml(_preset_config(preset, config).filters, preset),
-    ]
+    text = "".join(f"{line}\n" for text in head for line in comment_lines(text))
     latest = {setting.key: setting.value for setting in settings}
     missing = [key for key, value in latest.items() if value is None and key not in _NOT_NEEDED]
-    return SettingsFile("\n".join(part for part in parts if part), decisions, tuple(missing), tuple(failures))
+    return SettingsFile(f"{text}\n{settings_toml(settings)}", decisions, tuple(missing), tuple(failures))
 
 
 def _readable(
@@ -131,31 +135,6 @@ def _changed(section: Struct, default: Struct, always: Sequence[str] = ()) -> di
     """Return the keys of a section that are not as they are by default."""
     values = {key: getattr(section, key) for key in section.__struct_fields__}
     return {key: value for key, value in values.items() if key in always or value != getattr(default, key)}
-
-
-def _named_tables(section: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """Write tables such as [filters.NAME]; a table in one of them is written on its line."""
-
-    def value_text(value: Any) -> str:
-        if not isinstance(value, dict):
-            return toml_value(value)
-        return f"{{ {', '.join(f'{key} = {toml_value(part)}' for key, part in value.items())} }}"
-
-    return "\n".join(
-        "".join([f"[{section}.{name}]\n", *(f"{key} = {value_text(value)}\n" for key, value in keys.items())])
-        for name, keys in tables.items()
-    )
-
-
-def _filters_toml(filters: Mapping[str, Filter], preset: str) -> str:
-    if filters == Config().filters:
-        return ""
-    tables = {}
-    for name, filter_ in filters.items():
-        tables[name] = _changed(filter_, Filter(aiding=()))
-        if filter_.acceleration is not None:
-            tables[name]["acceleration"] = _changed(filter_.acceleration, Acceleration(), ("model", "window"))
-    return (f"# Preset {preset}.\n" if preset else "") + _named_tables("filters", tables)
 
 
 def _preset_config(preset: str, config: Config) -> Config:
@@ -239,7 +218,7 @@ def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
         # As it is the beams do not look down: with other axes they do.
         read_b = in_frd(np.eye(3), as_read, "dvl.axes").T
         axes, other = (
-            axes_word(np.rint(mat_from_rpy(np.array(mounting.rpy_deg) * DEG)) @ read_b) for mounting in (best, second)
+            axes_text(np.rint(mat_from_rpy(np.array(mounting.rpy_deg) * DEG)) @ read_b) for mounting in (best, second)
         )
         look = ", ".join(f"{part:.2f}" for part in np.array(dives[0].dive.dvl.look_d))
         text = (

@@ -4,8 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from insdvl_replay.calibration.innovations import ReadDive
-from insdvl_replay.calibration.parameters import PARAMETERS
+from insdvl_replay.calibration.innovations import PARAMETERS, ReadDive
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats

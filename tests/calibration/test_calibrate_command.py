@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from insdvl_replay.calibration.parameters import Geometry
+from insdvl_replay.calibration.innovations import Geometry
 from insdvl_replay.calibration.rows import TABLES
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config

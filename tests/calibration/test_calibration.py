@@ -26,18 +26,26 @@ from scipy.stats import norm
 from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
 from insdvl_replay.calibration.certainty import BEAM_ERRORS, beside_imu_errors, certainty_of, mean_change, newey_west
 from insdvl_replay.calibration.fit import AXES, Fit, Linearised, fit, likeliest_mounting, possible_axes
-from insdvl_replay.calibration.innovations import read_dive
+from insdvl_replay.calibration.innovations import (
+    ALL_GROUPS,
+    ARM,
+    DELAY,
+    MOUNTING,
+    NAMES,
+    PARAMETERS,
+    PRIOR_SD,
+    read_dive,
+)
 from insdvl_replay.calibration.noise import (
     AT_MOST,
     UNSURE,
     FittedNoise,
-    judged_noise,
+    determined_noise,
     nis_per_dof,
     noise_of,
     relative_sds,
 )
 from insdvl_replay.calibration.output import calibration_toml
-from insdvl_replay.calibration.parameters import ALL_GROUPS, ARM, DELAY, MOUNTING, NAMES, PARAMETERS, PRIOR_SD
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import DvlColumns
@@ -148,18 +156,19 @@ def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None
     noise, none = FittedNoise(before, before), np.zeros(len(NAMES))
     sure, unsure = (relative_sds(noise, [dive], [none], nis) for nis in (0.0, 30.0))
     assert (unsure > sure).all()
-    kept, judged = judged_noise(noise, [dive], [none], 30.0, QUIET.filters["baseline"])
-    assert judged["accel_white_mps_rts"].status == Estimated.NOT_DETERMINED
+    kept, rows = determined_noise(noise, [dive], [none], 30.0, QUIET.filters["baseline"])
+    status = {row.parameter: row.status for row in rows}
+    assert status["accel_white_mps_rts"] == Estimated.NOT_DETERMINED
     assert kept.after["accel_white_mps_rts"] == before["accel_white_mps_rts"]
-    assert judged["beam_sd_mps"].status == Estimated.ESTIMATED
+    assert status["beam_sd_mps"] == Estimated.ESTIMATED
 
 
 def test_beside_a_noise_that_no_gyro_has_the_others_are_limits_by_which_the_filter_is_consistent() -> None:
     dive = as_read(add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
     before, none = noise_of(dive.filter), np.zeros(len(NAMES))
     fitted = {key: 0.01 if key == "gyro_white_rad_rts" else 3.0 * value for key, value in before.items()}
-    kept, judged = judged_noise(FittedNoise(before, fitted), [dive], [none], 0.0, QUIET.filters["baseline"])
-    told = {key: (noise.status, noise.why) for key, noise in judged.items()}
+    kept, rows = determined_noise(FittedNoise(before, fitted), [dive], [none], 0.0, QUIET.filters["baseline"])
+    told = {row.parameter: (row.status, row.why) for row in rows}
     assert told["gyro_white_rad_rts"][0] == Estimated.DOUBTFUL
     assert told["accel_white_mps_rts"] == told["beam_sd_mps"] == (Estimated.NOT_DETERMINED, AT_MOST)
     assert kept.after["gyro_white_rad_rts"] == before["gyro_white_rad_rts"]

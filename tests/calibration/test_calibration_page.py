@@ -11,8 +11,8 @@ from built_in import ReadDive, built_in_otherwise
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.fit import scatter_of
+from insdvl_replay.calibration.innovations import LABELS
 from insdvl_replay.calibration.output import DRAWN, calibration_figures, calibration_result
-from insdvl_replay.calibration.parameters import LABELS
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Figure

@@ -5,16 +5,17 @@ import numpy as np
 import pytest
 from built_in import CONFIG, as_read
 
-from insdvl_replay.calibration.innovations import SKIPPED, with_dvl
-from insdvl_replay.calibration.parameters import (
+from insdvl_replay.calibration.innovations import (
     ARM,
     DELAY,
     MOUNTING,
     NAMES,
     SCALE,
+    SKIPPED,
     Geometry,
     moved_mounting,
     moved_pings,
+    with_dvl,
 )
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.states import DEG

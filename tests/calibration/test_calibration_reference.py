@@ -11,16 +11,16 @@ import pytest
 from built_in import CONFIG, WHITE
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate
-from insdvl_replay.calibration.innovations import ReadDive
-from insdvl_replay.calibration.output import calibration_result, calibration_toml
-from insdvl_replay.calibration.parameters import (
+from insdvl_replay.calibration.innovations import (
     CLOCK,
     REFERENCE_ARM,
     REFERENCE_GROUPS,
     REFERENCE_MOUNTING,
     SHARED,
     Geometry,
+    ReadDive,
 )
+from insdvl_replay.calibration.output import calibration_result, calibration_toml
 from insdvl_replay.calibration.reference import ATTITUDE, MOTION, reference_dive, with_reference
 from insdvl_replay.calibration.rows import ParameterRow
 from insdvl_replay.cli import run_command_line

@@ -9,8 +9,8 @@ from built_in import ARM_M, DELAY_S, SCALE, TRUTH, YAW_DEG, ReadDive, as_read, b
 from insdvl_replay.calibration.calibration import MANY_TIMES, Calibration, calibrate
 from insdvl_replay.calibration.certainty import MOTION_S, averaged, certainty_of, delay_weights, differing, noise_share
 from insdvl_replay.calibration.fit import Fit, Linearised, fit
+from insdvl_replay.calibration.innovations import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.parameters import DELAY, NAMES, PRIOR_SD
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated

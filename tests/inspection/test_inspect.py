@@ -22,8 +22,8 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.result import as_json
 from insdvl_replay.core.states import DEG
+from insdvl_replay.inspection.dry_run import vector_paths
 from insdvl_replay.inspection.inventory import Inventory, inspection_result
-from insdvl_replay.inspection.probe import vector_paths
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.replay import replay_log

@@ -17,7 +17,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
-from insdvl_replay.inspection.probe import Candidate
+from insdvl_replay.inspection.dry_run import Candidate
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path
