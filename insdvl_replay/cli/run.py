@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,7 +15,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
 
-INDEX = "index.html"
+_BEGINNING = 1000  # bytes of a file that say whether it is one of ours
 
 
 def run(
@@ -89,7 +89,7 @@ def run(
         require_tables,
         tables_named,
     )
-    from insdvl_replay.show.dives import Failure, dives_screen, overview_parts
+    from insdvl_replay.show.dives import INDEX, OVERVIEWS, Failure, dives_screen, overview_parts
 
     if history == "parquet":
         from insdvl_replay.results.result_files import require_parquet
@@ -107,7 +107,8 @@ def run(
     )
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
-    overviews = {} if alone else _overviews(dives, output, force=force)
+    if not alone:
+        _require_overviews(dives, output, force=force)
     # The screen has the answer alone; with it, stderr names each result and warning only where it is not the same
     # terminal.
     shows_screen = format_ == "table" and not (tables or verbose or quiet)
@@ -152,11 +153,11 @@ def run(
         return max(codes.values())
 
     output.mkdir(parents=True, exist_ok=True)
-    for path, write in overviews.items():
-        with result_file(path, force=True) as file:
+    for overview, (write, _) in OVERVIEWS.items():
+        with result_file(output / overview, force=True) as file:
             file.write_bytes(write(reports))
         if talks:
-            log_to_stderr(f"wrote {path}")
+            log_to_stderr(f"wrote {output / overview}")
     if unchanged and not (quiet or talks):
         log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
     done = [report for report in reports if isinstance(report, Report)]
@@ -172,18 +173,12 @@ def run(
     return max(codes.values())
 
 
-def _overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> "dict[Path, Callable[..., bytes]]":
-    """Return what is written of several dives together; what bears such a name and is none is left alone."""
+def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> None:
+    """Raise where a file of several dives together cannot be written; what bears its name and is none stays."""
     from insdvl_replay.results.folder import require_replaceable_file
-    from insdvl_replay.show.dives import evidence_csv, index_page, is_evidence, is_summary, summary_csv
-    from insdvl_replay.show.page import is_page
+    from insdvl_replay.show.dives import OVERVIEWS
 
-    known = {
-        "summary.csv": (summary_csv, is_summary),
-        "evidence.csv": (evidence_csv, is_evidence),
-        INDEX: (index_page, is_page),
-    }
-    for name, (_, is_own) in known.items():
+    for name, (_, beginning) in OVERVIEWS.items():
         path = output / name
         for dive in dives:
             if dive.target == path:
@@ -193,8 +188,7 @@ def _overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> "d
         if os.path.lexists(path):
             if path.is_symlink() or not path.is_file():
                 raise ConfigError(f"{path}: is no file of its own, and is not replaced", f"rm {path}")
-            require_replaceable_file(path, force=force or is_own(path.read_bytes()))
-    return {output / name: write for name, (write, _) in known.items()}
+            require_replaceable_file(path, force=force or beginning in path.read_bytes()[:_BEGINNING])
 
 
 def outcomes(

@@ -1,7 +1,7 @@
 """What people see of several dives: the screen, the summary for scripts, the page that leads to each dive."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 from urllib.parse import quote
@@ -24,7 +24,7 @@ from insdvl_replay.show.dive import (
     shouted,
 )
 from insdvl_replay.show.document import MISSING, Column, counted, number, rows_csv, shown, significant, table_of
-from insdvl_replay.show.page import page, sorting_script
+from insdvl_replay.show.page import SIGNATURE, page, sorting_script
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class Failure:
 
 
 Outcome = Report | Failure
+INDEX: Final = "index.html"
 
 
 def _reports(outcomes: Sequence[Outcome]) -> list[Report]:
@@ -208,22 +209,20 @@ def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
     return rows_csv(PooledRow.__struct_fields__, rows).encode()
 
 
-def is_summary(data: bytes) -> bool:
-    """Return whether a file is a summary."""
-    return data.startswith(rows_csv(COLUMNS, ()).encode())
-
-
-def is_evidence(data: bytes) -> bool:
-    """Return whether a file is pooled evidence."""
-    return data.startswith(rows_csv(PooledRow.__struct_fields__, ()).encode())
-
-
 # --- The page, and the same in other formats.
 
 
 def index_page(outcomes: Sequence[Outcome]) -> bytes:
     """Return the page of several dives, in the order of the logs; a script lets the reader sort its table."""
     return page([*_opening(outcomes), *_tables(outcomes)], sorting_script())
+
+
+OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
+    "summary.csv": (summary_csv, rows_csv(COLUMNS, ()).encode()),
+    "evidence.csv": (evidence_csv, rows_csv(PooledRow.__struct_fields__, ()).encode()),
+    INDEX: (index_page, SIGNATURE.encode()),
+}
+"""The files of several dives together: what writes them, and what they have near their beginning."""
 
 
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:

@@ -28,7 +28,7 @@ from insdvl_replay.show.plot import panel_svg, style_sheet
 
 _SHORT: Final = 20
 """Cells with more characters are folded; the others are on one line."""
-_SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
+SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 
 def page(document: Document, script: str = "") -> bytes:
@@ -50,7 +50,7 @@ def page(document: Document, script: str = "") -> bytes:
         "<!doctype html>",
         '<html lang="en">',
         '<meta charset="utf-8">',
-        _SIGNATURE,
+        SIGNATURE,
         # Nothing from elsewhere, and no script but the page's own.
         f"<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'{own}\">",
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
@@ -78,11 +78,6 @@ def fragment(document: Document) -> str:
     """Render a document as a part of somebody else's page, such as a notebook, with no style of its own."""
     titles = "".join(f"<h3>{escape(part.text)}</h3>" for part in document if isinstance(part, Title))
     return f"<div>{titles}{''.join(_html(part) for part in document if not isinstance(part, Title))}</div>"
-
-
-def is_page(data: bytes) -> bool:
-    """Return whether a file is a page of ours."""
-    return _SIGNATURE.encode() in data[:1000]
 
 
 def escape(text: str) -> str:
