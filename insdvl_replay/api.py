@@ -14,7 +14,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
-from insdvl_replay.core.result import Report, build_report, this_tool
+from insdvl_replay.core.result import Report
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.stored_results import read_one_result
@@ -107,14 +107,11 @@ def replay_log(
         The settings do not fit the log.
     """
     from insdvl_replay.replay import replay_log as replayed
+    from insdvl_replay.results.result_files import report_of
 
     path = Path(log) if isinstance(log, str | Path) else [Path(part) for part in log]
     replay = replayed(path, config or Config(), allow_damaged=allow_damaged, name=name)
-    report = build_report(
-        replay.dive, replay.config, replay.tables, replay.verdicts, replay.notes, replay.start_ns, replay.end_ns,
-        this_tool(),
-    )  # fmt: skip
-    return Result(report, _replay=replay)
+    return Result(report_of(replay), _replay=replay)
 
 
 def read_result(folder: Text) -> "Result":

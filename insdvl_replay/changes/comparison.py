@@ -48,7 +48,7 @@ _HASH_DIGITS: Final = 12
 _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 """Columns that a reader looks at first, and words with a rank, which sum up numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
-_JUDGED: Final = {"improvement": "{} is now {}, was {}", "belief": "what {} believes is now {}, was {}"}
+_CHANGED_WORDS: Final = {"improvement": "{} is now {}, was {}", "belief": "what {} believes is now {}, was {}"}
 """By column of the candidates what is said where its word changed."""
 _OFF_ONE: Final = ("nis", "nees")
 """Rows of the evidence that are better the nearer they are to 1, which their ratio is of."""
@@ -553,14 +553,14 @@ def _changed_verdicts(comparison: Comparison) -> list[str]:
     """State which judgements and beliefs changed, the judgements first, each once with its dives."""
     dives: dict[tuple[str, str, str, str], list[str]] = {}
     for change in comparison.changes:
-        is_word = change.table == CANDIDATES.name and change.column in _JUDGED
+        is_word = change.table == CANDIDATES.name and change.column in _CHANGED_WORDS
         if is_word and change.old and change.new and change.old != change.new:
             key = change.column, change.filter, str(change.new), str(change.old)
             dives.setdefault(key, []).append(change.log)
     matched = len(comparison.matched)
-    in_order = sorted(dives.items(), key=lambda found: list(_JUDGED).index(found[0][0]))
+    in_order = sorted(dives.items(), key=lambda found: list(_CHANGED_WORDS).index(found[0][0]))
     return [
-        _JUDGED[column].format(*named) + (f" ({_where(logs, matched)})" if matched > 1 else "")
+        _CHANGED_WORDS[column].format(*named) + (f" ({_where(logs, matched)})" if matched > 1 else "")
         for (column, *named), logs in in_order
     ]
 

@@ -43,6 +43,14 @@ CSV, PARQUET = "csv", "parquet"
 _AXES: Final = ("x", "y", "z")
 
 
+def report_of(replay: Replay) -> Report:
+    """Return the report of a replay."""
+    return build_report(
+        replay.dive, replay.config, replay.tables, replay.verdicts, replay.notes, replay.start_ns, replay.end_ns,
+        this_tool(),
+    )  # fmt: skip
+
+
 def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None:
     """Write a replay's files into a folder, whose other files are left alone; the same replay gives the same bytes.
 
@@ -50,10 +58,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     """
     report_stage("writing the results")
     settings = render_toml(replay.config)
-    report = build_report(
-        replay.dive, replay.config, replay.tables, replay.verdicts, replay.notes, replay.start_ns, replay.end_ns,
-        this_tool(),
-    )  # fmt: skip
+    report = report_of(replay)
     for layout, rows in each_table(replay.tables):
         (folder / f"{layout.name}.csv").write_bytes(table_csv(Block.of(layout.row, rows)))
     if histories:

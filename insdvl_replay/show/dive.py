@@ -562,7 +562,7 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
     if judgement == Judgement.NOT_EVALUATED:
         yield Sentences((word, candidate.verdict))
         return
-    yield Sentences((word, _believed(candidate)))
+    yield Sentences((word, _prediction_line(candidate)))
     evidence = _of(name, report.tables.evidence)
     if rows := _chosen([row for row in evidence if row.evidence != CONSISTENT], MOST_ROWS[len(report.filters)]):
         columns = (
@@ -585,7 +585,7 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
     yield f"{trust_sentence(report.tables, name, baseline)}{sizes}"
 
 
-def _believed(candidate: Candidate) -> str:
+def _prediction_line(candidate: Candidate) -> str:
     """State what a candidate predicts to gain, and what has become of that."""
     if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
         return "it was read, not run: what it believes is told of some states, or of none"

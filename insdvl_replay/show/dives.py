@@ -52,8 +52,8 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
     reports, found = _reports(outcomes), []
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         having = [report for report in reports if name in report.filters]
-        judged = [report for report in having if report.filters[name].improvement != Judgement.NOT_EVALUATED]
-        rows = [[row for row in report.tables.evidence if row.filter == name] for report in judged]
+        evaluated = [report for report in having if report.filters[name].improvement != Judgement.NOT_EVALUATED]
+        rows = [[row for row in report.tables.evidence if row.filter == name] for report in evaluated]
         baselines = " or ".join(sorted({report.baseline for report in having}))
         if len(having) > 1:
             found.append(pooled_candidate(name, baselines, rows, len(having)))

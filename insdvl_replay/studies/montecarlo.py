@@ -244,11 +244,11 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     """State of each filter whether its uncertainty is right, and of each candidate whether it is better."""
     row: Any
     for row in tables["verdicts"].itertuples():
-        judged = f"{row.filter} is {row.verdict}" + (f" ({row.why} of what is expected)" if row.why else "")
+        sentence = f"{row.filter} is {row.verdict}" + (f" ({row.why} of what is expected)" if row.why else "")
         if row.verdict == Consistency.INSUFFICIENT:
-            judged = f"{row.filter}: too few runs to judge it"
+            sentence = f"{row.filter}: too few runs to judge it"
         yield (
-            f"{judged}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "
+            f"{sentence}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "
             f"{row.low:.4g} to {row.high:.4g}; inside at {row.inside_pct:.0f} % of the pings"
         )
     baseline, *candidates = tables["verdicts"]["filter"]

@@ -150,21 +150,23 @@ def observability_tables(
     """
     factors, ids = np.array([state.factor for state in STATES]), [state.id for state in STATES]
     ranks, seen, values, states = [], [], [], []
-    for aiding, one in found.items():
-        unobservable = name_unobservable(one, directions, prior_sd)
-        weak = int(np.sum(one.singular_values[: one.rank] < 1.0))
-        unnamed = len(STATES) - one.rank - len(unobservable)
-        ranks.append((aiding, one.rank, len(STATES), one.gap, weak, unnamed))
+    for aiding, analysis in found.items():
+        unobservable = name_unobservable(analysis, directions, prior_sd)
+        weak = int(np.sum(analysis.singular_values[: analysis.rank] < 1.0))
+        unnamed = len(STATES) - analysis.rank - len(unobservable)
+        ranks.append((aiding, analysis.rank, len(STATES), analysis.gap, weak, unnamed))
         for direction in directions:
-            response = one.response(direction.scaled(prior_sd))
+            response = analysis.response(direction.scaled(prior_sd))
             status = DirectionStatus.WEAK if response < 1.0 else DirectionStatus.SEEN
             if direction in unobservable:
                 status = DirectionStatus.UNOBSERVABLE
             seen.append((aiding, direction.id, direction.label, response, status))
-        for count, (value, vector) in enumerate(zip(one.singular_values, one.directions, strict=True), start=1):
+        for count, (value, vector) in enumerate(
+            zip(analysis.singular_values, analysis.directions, strict=True), start=1
+        ):
             values.append((aiding, count, value, 100.0 / np.sqrt(1.0 + value**2), *(vector * prior_sd / factors)))
         columns = {"prior_sd": prior_sd / factors, "left_sd": left_sd[aiding] / factors}
-        columns |= {"left_pct": 100.0 * left_sd[aiding] / prior_sd, "left_without_noise_pct": 100.0 * one.left()}
+        columns |= {"left_pct": 100.0 * left_sd[aiding] / prior_sd, "left_without_noise_pct": 100.0 * analysis.left()}
         names = {"aiding": aiding, "state": ids, "unit": [state.unit for state in STATES]}
         states.append(pd.DataFrame({**names, **columns}))
     catalogue = []

@@ -96,7 +96,7 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jo
 def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     """Compare the accelerations from 2 to ``longest`` velocities of one dive with its reference.
 
-    All windows are judged at the same pings, those whose longest window is whole, so that no number of velocities has
+    All windows are compared at the same pings, those whose longest window is whole, so that no number of velocities has
     an easier dive than another.
     """
     if dive.reference is None or not (dive.reference.has_velocity and dive.reference.has_attitude):
@@ -114,9 +114,9 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     expected_b = _expected(windows, velocities, reference, max_gap_s)
     # A window over a long gap of the IMU is left out: there the lever arm's velocity is unknown.
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
-    judged = windows[longest].complete & ~start.gaps.overlap(velocities.time_ns[first], velocities.time_ns)
-    judged &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
-    if not judged.any():
+    compared = windows[longest].complete & ~start.gaps.overlap(velocities.time_ns[first], velocities.time_ns)
+    compared &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
+    if not compared.any():
         raise LogError(
             f"{dive.name}: none of {len(time_s)} pings ends a window of {longest} velocities without a pause above "
             f"{max_gap_s:g} s in DVL and reference",
@@ -126,7 +126,7 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     for lever_arm, velocity_b in _velocities_at_imu(dive, velocities, start.mounting).items():
         for (at, n), expected in expected_b.items():
             slope_b = windowed_sum(windows[n].velocity_weights, velocity_b)
-            rows.append((dive.name, n, at, lever_arm, vector_rmse(slope_b, expected, judged), int(judged.sum())))
+            rows.append((dive.name, n, at, lever_arm, vector_rmse(slope_b, expected, compared), int(compared.sum())))
     return pd.DataFrame(rows, columns=WINDOW_COLUMNS), differentiated_over_s(reference), dive.notes + start.notes
 
 
