@@ -562,31 +562,29 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str)
         return gate.row, "is not in the baseline", False
     if not np.array_equal(new.time_s, old.time_s):
         return gate.row, f"{samples} samples, the baseline has {len(old.time_s)} at other times", False
-    # By time, then in the order of the columns: the row, the column, where it differs, by how much, what is allowed.
-    differences = list[tuple[int, str, Any, Any, float]]()
+    before, after = (trajectory.values[trajectory.names.index(name)] for trajectory in (old, new))  # (k, columns)
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(np.where(before == after, 0.0, after - before))
+    apart = np.where(np.isin(COLUMNS, list(ANGLES)), np.minimum(apart, np.abs(360.0 - apart)), apart)
+    # What is missing on both sides is the same; on one side it differs by any measure.
+    apart = np.nan_to_num(apart, nan=0.0, posinf=np.inf)
+    apart[np.isnan(before) != np.isnan(after)] = np.inf
+    allowed = dict.fromkeys(COLUMNS, math.inf)
     for group, columns in GROUPS.items():
-        with np.errstate(invalid="ignore"):
-            largest = max(float(np.nanmax(np.abs(old.of(name, column)), initial=0.0)) for column in columns)
-            for column in (column for column in columns if gate.row in (ANY, group, column)):
-                allowed = gate.max_abs.get(column, (SAME if gate.max_rel is None else gate.max_rel) * largest)
-                before, after = old.of(name, column), new.of(name, column)
-                apart = np.abs(np.where(before == after, 0.0, after - before))
-                if column in ANGLES:
-                    apart = np.minimum(apart, np.abs(360.0 - apart))
-                # What is missing on both sides is the same; on one side it differs by any measure.
-                apart = np.nan_to_num(apart, nan=0.0, posinf=np.inf)
-                apart = np.where(np.isnan(before) != np.isnan(after), np.inf, apart)
-                if (differs := apart > allowed).any():
-                    differences.append((int(np.argmax(differs)), column, differs, apart, allowed))
-    if not differences:
+        largest = float(np.nanmax(np.abs(before[:, np.isin(COLUMNS, columns)]), initial=0.0))
+        usual = (SAME if gate.max_rel is None else gate.max_rel) * largest
+        allowed |= {name: gate.max_abs.get(name, usual) for name in columns if gate.row in (ANY, group, name)}
+    differs = apart > np.array(list(allowed.values()))
+    if not differs.any():
         return gate.row, f"{samples} samples are as before", True
-    first, column, differs, apart, allowed = min(differences, key=lambda difference: difference[0])
-    others = f", and {len(differences) - 1} more quantities" if len(differences) > 1 else ""
+    first = int(np.argmax(differs.any(axis=1)))
+    place, others = int(np.argmax(differs[first])), int(differs.any(axis=0).sum()) - 1
     sentence = (
-        f"{column} first differs at {new.time_s[first]:g} s ({apart[first]:.2g}, {allowed:.2g} allowed), "
-        f"{int(differs.sum())} of {len(differs)} samples{others}"
+        f"{COLUMNS[place]} first differs at {new.time_s[first]:g} s ({apart[first, place]:.2g}, "
+        f"{allowed[COLUMNS[place]]:.2g} allowed), {int(differs[:, place].sum())} of {samples} samples"
+        f"{f', and {others} more quantities' if others else ''}"
     )
-    return column, sentence, False
+    return COLUMNS[place], sentence, False
 
 
 def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, str, bool]:
