@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.changes.gates import EVERY_DIVE, TRAJECTORY, CheckResult, Finding, Judgement
+from insdvl_replay.changes.gate_file import TRAJECTORY
+from insdvl_replay.changes.gates import EVERY_DIVE, CheckResult, Finding, Judgement
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.result import DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.tables import PERCENTAGE

@@ -1,4 +1,4 @@
-"""Gates: what must hold of a dive's tables and of its trajectory, read from TOML, and what became of each on each dive.
+"""What became of each gate on each dive.
 
 What is missing, empty or not a number never passes. Some gates hold a value, or the whole trajectory, against a stored
 baseline; the last part of this module makes baselines.
@@ -7,33 +7,21 @@ baseline; the last part of this module makes baselines.
 import difflib
 import fnmatch
 import math
-import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeGuard
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from insdvl_replay.changes.cells import agree, judge_cell, named_rows
-from insdvl_replay.core.config_file import converted, read_toml
+from insdvl_replay.changes.gate_file import ANY, LAYOUTS, LOG, POOLED, TRAJECTORY, Gate, Gates
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
-from insdvl_replay.core.errors import (
-    ConfigError,
-    ResultError,
-    UserError,
-    error_context,
-    is_writable,
-    listed,
-    looked_for,
-    require_known,
-)
+from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
 from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport, as_json
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
-from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, TABLES, EvidenceRow, PooledRow, TableLayout, layout_of
+from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, EvidenceRow, TableLayout
 from insdvl_replay.core.words import ChangeWord, GateLevel, GateStatus, ReferenceStatus
 from insdvl_replay.core.words import Judgement as Word
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
@@ -43,15 +31,8 @@ if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.
     from insdvl_replay.results.trajectory import Trajectory
 
-ANY: Final = "*"  # every table, filter or row
-LOG: Final = "{log}"  # in the path of a baseline, the dive's name
-POOLED: Final = "pooled"  # the table of what all dives say together, as in ``evidence.csv`` beside them
-TRAJECTORY: Final = "trajectory"  # is compared sample by sample
 EVERY_DIVE: Final = "*"  # in place of the name of a dive
 SAME: Final = 1e-9  # share of the largest value of a group in which samples may differ: processors round differently
-EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
-ON_TRAJECTORY: Final = 'baseline = "baselines/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
-LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
 # Cells beside those that can be better or worse, and those of filters by themselves, that are of gain or loss.
 OF_GAIN: Final = frozenset(
     (
@@ -60,53 +41,6 @@ OF_GAIN: Final = frozenset(
         *(("outage", column) for column in ("ratio_to_baseline", "ratio_low", "ratio_high", "windows_won_pct")),
     )
 )
-Allowance = Annotated[float, Meta(ge=0)]
-Share = Annotated[float, Meta(ge=0, le=100)]
-
-
-class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One condition on one column of a table, or on the trajectory."""
-
-    name: str  # for people; no two gates share it
-    table: str  # as in ``report.json``, or ``filters``
-    filter: str = ANY
-    row: str = ANY  # a state, quantity or measurement
-    column: str = ""
-    min: float | None = None  # may be reached, as may the maximum
-    max: float | None = None
-    equals: str | int | float | tuple[str | int | float, ...] | None = None  # the value, or those that it may have
-    baseline: str | None = None  # a stored result, seen from the gate file; ``{log}`` stands for the dive's name
-    # By how much a value may be worse than the baseline's: in percent of it, or in percentage points where the value is
-    # a percentage itself; and in the unit of the value. Of two allowances the larger one counts.
-    max_worse_pct: Allowance | None = None
-    max_worse_abs: Allowance | None = None
-    # By how much samples of a trajectory may differ: by column in its unit; as a share of the largest of its group.
-    max_abs: dict[str, Allowance] = {}
-    max_rel: Allowance | None = None
-    # The band in which a quantity of the trajectory, the row, is to stay: for which share of the samples, for how long
-    # it may be outside, at which time alone; else all samples.
-    within: tuple[float, float] | None = None
-    share_pct: Share | None = None
-    longest_outside_s: Allowance | None = None
-    at_s: Allowance | None = None
-    dives: tuple[str, ...] = ()  # patterns of the names of the dives that are meant; empty for all
-    share_of_dives_pct: Share | None = None  # the gate holds if so many of the dives that are meant pass it
-    level: GateLevel = GateLevel.ERROR
-
-    @property
-    def wanted(self) -> tuple[str | int | float, ...]:
-        """The values that it may have."""
-        return self.equals if isinstance(self.equals, tuple) else () if self.equals is None else (self.equals,)
-
-
-class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A file of gates; its paths are seen from its folder."""
-
-    dives: tuple[str, ...] = ()  # logs, bags, folders, patterns, lists or results
-    config: str | None = None  # settings of the replays
-    preset: str | None = None
-    allow_damaged: bool = False  # use what can be read of damaged logs
-    gate: tuple[Gate, ...] = ()
 
 
 class Finding(Struct, frozen=True):
@@ -154,155 +88,6 @@ class Checked(NamedTuple):
     name: str
     result: StoredReport | Exception
     folder: Path | None = None
-
-
-# --- The gate file.
-
-
-@dataclass(frozen=True)
-class Gates:
-    """A gate file that was read."""
-
-    path: Path
-    content: GateFile
-    lines: dict[str, int]  # by its name where a gate begins
-
-    def where(self, gate: Gate) -> str:
-        """Name a gate and its place, for messages."""
-        line = self.lines.get(gate.name)
-        return f"{self.path}{f':{line}' if line else ''}: gate '{gate.name}'"
-
-
-def load_gates(path: Path) -> Gates:
-    """Read a gate file; ConfigError where a key, a value or a combination of them is wrong, or no gate is active."""
-    if not is_writable(str(path)):
-        raise ConfigError(f"{path}: its name is not UTF-8, so no result could tell it", "rename it")
-    source = read_toml(
-        path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
-    )
-    tables = source.content.get("gate")
-    for number, table in enumerate(tables if isinstance(tables, list) else [], 1):
-        gate = converted(table, Gate, source, label=f"gate {number}")
-        with error_context(f"{path}: gate {number}"):
-            _check_gate(gate)
-    content = converted(source.content, GateFile, source)
-    names = [gate.name for gate in content.gate]
-    for name, times in Counter(names).items():
-        if times > 1:
-            raise ConfigError(f"two gates bear the name '{name}'", "give each a name of its own", source.name)
-    if all(gate.level == GateLevel.OFF for gate in content.gate):
-        raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error", source.name)
-    lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
-    return Gates(path, content, dict(zip(names, lines, strict=True)) if len(lines) == len(names) else {})
-
-
-def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
-    """Keep the gates whose names are like one of the patterns ``only``, and like none of ``skip``."""
-    names = [gate.name for gate in gates.content.gate]
-    alike = {pattern: fnmatch.filter(names, pattern) for pattern in (*only, *skip)}
-    for pattern, found in alike.items():
-        if not found:
-            raise ConfigError(f"{gates.path}: no gate is called '{pattern}'", f"gates: {listed(names)}")
-    wanted = {name for pattern in only for name in alike[pattern]} if only else set(names)
-    wanted -= {name for pattern in skip for name in alike[pattern]}
-    if not wanted:
-        raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
-    kept = tuple(gate for gate in gates.content.gate if gate.name in wanted)
-    return Gates(gates.path, replace(gates.content, gate=kept), gates.lines)
-
-
-def _check_gate(gate: Gate) -> None:
-    """Refuse keys that do not go together: the first rule that is broken."""
-    name, low, high, band = f"'{gate.name}'", gate.min, gate.max, gate.within
-    limits = {key: getattr(gate, key) for key in ("min", "max", "max_worse_pct", "max_worse_abs")}
-    endless = [f"{key} = {limit}" for key, limit in limits.items() if limit is not None and not math.isfinite(limit)]
-    no_limits, no_baseline = low is None and high is None and gate.equals is None, gate.baseline is None
-    no_allowance = gate.max_worse_pct is None and gate.max_worse_abs is None
-    sample_keys = ("within", "share_pct", "longest_outside_s", "at_s", "max_abs", "max_rel")
-    foreign = [key for key in sample_keys if getattr(gate, key)]
-    unknown = re.findall(r"\{.*?\}", (gate.baseline or "").replace(LOG, ""))
-    pooled_only = gate.table == POOLED and (not no_baseline or gate.share_of_dives_pct is not None or gate.dives)
-    is_crossed, on_trajectory = low is not None and high is not None and low > high, gate.table == TRAJECTORY
-    example = f"{endless[0].split()[0]} = 40.0" if endless else ""
-    rules: list[tuple[object, str, str]] = [
-        (endless, f"{' '.join(endless[:1])} is no limit", example),
-        (is_crossed, f"no value is at least {low or 0:g} and at most {high or 0:g}", "exchange min and max"),
-    ]
-    if on_trajectory:
-        with_column, beside = gate.column or not no_limits, band and (not no_baseline or gate.max_abs)
-        rules += [
-            (with_column, f"{name}: a trajectory has samples and no columns", ON_TRAJECTORY),
-            (beside, f"{name}: within stands beside a baseline", "make two gates of it"),
-            (not band and no_baseline, f"{name} has no condition", ON_TRAJECTORY),
-        ]
-    else:
-        on_samples = f'{name}: {" ".join(foreign[:1])} is for table = "{TRAJECTORY}"'
-        together = f"{name}: baseline and max_worse_pct or max_worse_abs need each other"
-        hint = 'baseline = "baselines/{log}.json" with max_worse_pct = 5'
-        rules += [
-            (not gate.column, f"{name} names no column", EXAMPLE),
-            (foreign, on_samples, "min, max, or max_worse_abs"),
-            (pooled_only, f"{name}: the pooled evidence is of all dives, without a baseline", "min, max or equals"),
-            (unknown, f"baseline: {' '.join(unknown[:1])} is not known", f"{LOG} stands for the dive's name"),
-            (no_limits and no_baseline, f"{name} has no condition", "add min, max, equals or baseline"),
-            (no_baseline != no_allowance, together, hint),
-        ]
-    for is_broken, text, hint in rules:
-        if is_broken:
-            raise ConfigError(text, hint)
-    if on_trajectory:
-        require_known("row", gate.row, COLUMNS if band else [ANY, *GROUPS, *COLUMNS])
-        if band and not band[0] <= band[1]:
-            raise ConfigError(f"{name}: within = {list(band)} holds no value", "exchange its ends")
-        for column in gate.max_abs:
-            require_known("max_abs", column, COLUMNS)
-
-
-def require_known_names(
-    gates: Gates,
-    filters: Sequence[str] | None,  # that will be replayed, the baseline first; None: stored results may have others
-) -> None:
-    """Raise a ConfigError, with line and nearest name, if a gate names what no result can have."""
-    for gate in gates.content.gate:
-        with error_context(gates.where(gate)):
-            if gate.table == TRAJECTORY:
-                require_known("filter", gate.filter, [ANY, *(filters or (gate.filter,))])
-            else:
-                _require_known_cells(gate, filters)
-
-
-def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
-    require_known("table", gate.table, [ANY, TRAJECTORY, *(layout.name for layout in LAYOUTS)])
-    named = [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
-    columns = {
-        layout.name: [name for name in layout.columns if name not in ("log", "filter", layout.key)] for layout in named
-    }
-    require_known("column", gate.column, list(dict.fromkeys(name for names in columns.values() for name in names)))
-    layouts = [layout for layout in named if gate.column in columns[layout.name]]
-    # Of candidates nobody knows the names yet where results are stored.
-    if filters is not None or CANDIDATES not in layouts:
-        rows = [row for layout in layouts for row in layout.rows or (filters or ())[1:]]
-        kind = " or ".join(dict.fromkeys(layout.key for layout in layouts))
-        require_known(kind, gate.row, [ANY, *dict.fromkeys(rows)])
-    if filters is not None:
-        require_known("filter", gate.filter, [ANY, *filters])
-        if gate.filter == filters[0] and not any(layout.baseline_too for layout in layouts):
-            raise ConfigError(
-                f"filter '{filters[0]}' is the baseline, which has no rows of its own in {gate.table}",
-                f"name a candidate: {', '.join(filters[1:])}; its rows have columns of the baseline, too",
-            )
-    # A condition that the column's kind can never meet
-    for layout in layouts:
-        words, column = layout.kinds[gate.column] == "text", f"column '{gate.column}' of {layout.name}"
-        if words and not (gate.min is None and gate.max is None):
-            raise ConfigError(f"{column} holds words, which have no limits", "use equals")
-        if gate.wanted and not any(isinstance(value, str) == words for value in gate.wanted):
-            raise ConfigError(f"equals: {column} holds {'words' if words else 'numbers'}, found {gate.equals!r}")
-        if gate.baseline is not None and gate.column not in layout.better:
-            raise ConfigError(
-                f"{column} is neither better nor worse, so no baseline can be kept to",
-                f"one of {', '.join(layout.better)}, or equals, min or max",
-            )
 
 
 # --- Dives.

@@ -144,6 +144,7 @@ def check(
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
     from insdvl_replay.changes import formats
     from insdvl_replay.changes import gates as gating
+    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, require_known_names
     from insdvl_replay.cli.run import outcomes
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
@@ -153,7 +154,7 @@ def check(
     part, slash, parts = shard.partition("/")
     if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
         raise ConfigError(f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on")
-    chosen = gating.chosen_gates(gating.load_gates(gates), only, skip)
+    chosen = chosen_gates(load_gates(gates), only, skip)
     content = chosen.content
     if not (dives or content.dives):
         raise ConfigError(f"{gates}: names no dives", f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]')
@@ -178,7 +179,7 @@ def check(
         histories=histories,
     )
     logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
-    gating.require_known_names(chosen, list(options.config.filters) if len(logs) == len(paths) else None)
+    require_known_names(chosen, list(options.config.filters) if len(logs) == len(paths) else None)
 
     # Replays, stored results, and what the gates say of them
     checked: list[gating.Checked] = []

@@ -10,7 +10,8 @@ import msgspec
 import pytest
 from small_results import content, nudged
 
-from insdvl_replay.changes.gates import Gate, gate_findings, load_gates, require_known_names
+from insdvl_replay.changes.gate_file import Gate, load_gates, require_known_names
+from insdvl_replay.changes.gates import gate_findings
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import StoredReport
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from processors import PROCESSORS
 
-from insdvl_replay.changes.gates import Gate, load_gates, trajectory_findings
+from insdvl_replay.changes.gate_file import Gate, load_gates
+from insdvl_replay.changes.gates import trajectory_findings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import COLUMNS, GROUPS

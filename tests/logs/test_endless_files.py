@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.changes.gates import load_gates
+from insdvl_replay.changes.gate_file import load_gates
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs.formats.recording import bag_parts, open_recording

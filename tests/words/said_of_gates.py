@@ -10,14 +10,8 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
-from insdvl_replay.changes.gates import (
-    Finding,
-    Gate,
-    gate_findings,
-    load_gates,
-    require_known_names,
-    trajectory_findings,
-)
+from insdvl_replay.changes.gate_file import Gate, load_gates, require_known_names
+from insdvl_replay.changes.gates import Finding, gate_findings, trajectory_findings
 from insdvl_replay.core.result import StoredReport
 from insdvl_replay.core.states import COLUMNS
 from insdvl_replay.results.trajectory import Trajectory
