@@ -11,7 +11,7 @@ from msgspec.structs import astuple
 from insdvl_replay.core.errors import natural_key
 from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, is_whole, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
-from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
+from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.core.words import GateStatus, Judgement, Severity
 from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
 from insdvl_replay.show.dive import (
@@ -23,7 +23,7 @@ from insdvl_replay.show.dive import (
     ratio_text,
     shouted,
 )
-from insdvl_replay.show.document import MISSING, Column, counted, number, rows_csv, shown, significant, table_of
+from insdvl_replay.show.document import MISSING, counted, number, rows_csv, shown, significant
 from insdvl_replay.show.page import SIGNATURE, page, sorting_script
 
 
@@ -103,65 +103,58 @@ def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
         yield Sentences(())
 
 
-@dataclass(frozen=True)
-class _Dive:
-    """One row: the evidence on each candidate in the quantity that is shown, and the words on them."""
-
-    log: str
-    evidence: dict[str, EvidenceRow]
-    words: dict[str, str]
-
-
 def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
     """Lay out a row a dive, with the values of a single candidate, and the ratio and the word of each."""
     reports = _reports(outcomes)
     names = list(dict.fromkeys(name for report in reports for name in report.filters))
     # The piece of evidence that comes first on most dives.
-    evidence = [(name, report.tables.evidence) for report in reports for name in report.filters]
-    firsts = Counter(
-        next((row.quantity, row.unit) for row in rows if row.filter == name)
-        for name, rows in evidence
-        if any(row.filter == name and row.evidence != CONSISTENT for row in rows)
-    )
+    firsts = Counter[tuple[str, str]]()
+    for report in reports:
+        for name in report.filters:
+            own = [row for row in report.tables.evidence if row.filter == name]
+            if any(row.evidence != CONSISTENT for row in own):
+                firsts[own[0].quantity, own[0].unit] += 1
     quantity, unit = firsts.most_common(1)[0][0] if firsts else ("", "")
-    dives = []
+    rows, largest = list[tuple[str, ...]](), dict[str, float]()
     for outcome in outcomes:
         if isinstance(outcome, Failure):
-            dives.append(_Dive(outcome.log, {}, dict.fromkeys(names, FAILED)))
+            rows.append((outcome.log, *(([MISSING] * 4 if len(names) == 1 else [MISSING]) + [FAILED]) * len(names)))
             continue
-        rows = {row.filter: row for row in outcome.tables.evidence if row.quantity == quantity}
-        words = {name: shouted(candidate.improvement) for name, candidate in outcome.filters.items()}
-        dives.append(_Dive(outcome.log.name, rows, words))
-    chosen = dives
-    if len(dives) > MOST_DIVES:
-        failed = [dive for dive in dives if FAILED in dive.words.values()][:MOST_FAILED]
-        known = [dive for dive in dives if dive.evidence]
-        worst = sorted(known, key=lambda dive: -max(finite(row.ratio) for row in dive.evidence.values()))[:WORST]
-        chosen = [dive for dive in dives if dive in failed or dive in worst]
-
-    def text(name: str, write: Callable[[EvidenceRow], str]) -> Callable[[_Dive], str]:
-        return lambda dive: write(dive.evidence[name]) if name in dive.evidence else MISSING
-
-    def word(name: str) -> Callable[[_Dive], str]:
-        return lambda dive: dive.words.get(name, MISSING)
-
-    columns: list[Column] = [(label(quantity) or "dive", "l", "log")]
-    if len(names) == 1:
-        [name], baselines = names, " or ".join(sorted({report.baseline for report in reports}))
-        columns += [
-            (f"{baselines} [{unit}]", "r", text(name, lambda row: significant(row.baseline, 3))),
-            (f"{name} [{unit}]", "r", text(name, lambda row: significant(row.value, 3))),
-            ("ratio", "r", text(name, lambda row: ratio_text(row.ratio))),
-            ("on this dive", "r", text(name, lambda row: interval_text(row.low, row.high))),
-            ("", "l", word(name)),
-        ]
-    else:
+        cells, found = (
+            [outcome.log.name],
+            {row.filter: row for row in outcome.tables.evidence if row.quantity == quantity},
+        )
         for name in names:
-            columns += [(name, "r", text(name, lambda row: ratio_text(row.ratio))), ("", "l", word(name))]
-    left_out = len(dives) - len(chosen)
+            texts = [MISSING] * 4
+            if (row := found.get(name)) is not None:
+                values = (significant(row.baseline, 3), significant(row.value, 3))
+                texts = [*values, ratio_text(row.ratio), interval_text(row.low, row.high)]
+            candidate = outcome.filters.get(name)
+            cells += texts if len(names) == 1 else texts[2:3]
+            cells.append(shouted(candidate.improvement) if candidate else MISSING)
+        rows.append(tuple(cells))
+        if found:
+            largest[outcome.log.name] = max(finite(row.ratio) for row in found.values())
+    chosen = rows
+    if len(rows) > MOST_DIVES:
+        failed = [row for row in rows if FAILED in row[1:]][:MOST_FAILED]
+        worst = sorted(largest, key=lambda log: -largest[log])[:WORST]
+        chosen = [row for row in rows if row in failed or row[0] in worst]
+    left_out = len(rows) - len(chosen)
     footnote = f"failed, and the {WORST} with the largest ratio; {left_out} more: see the page" if left_out else ""
-    chosen = sorted(chosen, key=lambda dive: natural_key(dive.log))
-    return table_of("", chosen, columns, footnote, spare=(4, 1, 2) if len(names) == 1 else ())
+    heads, alignment = [head for name in names for head in (name, "")], "rl" * len(names)
+    if len(names) == 1:
+        baselines = " or ".join(sorted({report.baseline for report in reports}))
+        heads, alignment = [f"{baselines} [{unit}]", f"{names[0]} [{unit}]", "ratio", "on this dive", ""], "rrrrl"
+    chosen.sort(key=lambda row: natural_key(row[0]))
+    return DisplayTable(
+        "",
+        (label(quantity) or "dive", *heads),
+        f"l{alignment}",
+        tuple(chosen),
+        footnote,
+        spare=(4, 1, 2) if len(names) == 1 else (),
+    )
 
 
 # --- For scripts: a summary, and the pooled evidence.
