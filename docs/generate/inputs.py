@@ -29,7 +29,7 @@ def _gives(entry: KnownType) -> str:
         return "beams"
     if "velocity" in fields:
         return "velocity"
-    told = {
+    by_field = {
         "position": {"latitude", "local_position"},
         "velocity": {"velocity_n", "velocity_b"},
         "attitude": {"quaternion", "roll"},
@@ -37,13 +37,13 @@ def _gives(entry: KnownType) -> str:
         "samples": {"specific_force"},
         "true biases": {"accel_bias"},
     }
-    found = [word for word, quantities in told.items() if fields & quantities]
+    found = [word for word, quantities in by_field.items() if fields & quantities]
     return ", ".join(word for word in found if word != "samples" or "increments" not in found)
 
 
 def _types(*groups: str) -> str:
     return markdown_table(
-        ("type", "gives", "stamp", "what is to be known"), [row for group in groups for row in _rows(TYPES[group])]
+        ("type", "gives", "stamp", "remarks"), [row for group in groups for row in _rows(TYPES[group])]
     )
 
 
@@ -55,7 +55,7 @@ def _sensors() -> str:
         for group in (*NEEDS[name].groups, *NEEDS[name].if_named)
         for types, gives, stamp, about in _rows(TYPES[group])
     ]
-    return markdown_table(("type", "gives", "stamp", "what is to be known"), rows)
+    return markdown_table(("type", "gives", "stamp", "remarks"), rows)
 
 
 def _other(endings: tuple[str, ...]) -> str:
@@ -75,7 +75,7 @@ PARTS = {
     "reference": lambda: _types("nav_solution", "odometry", "fix", "extended_fix", "poses", "truth"),
     "sensors": _sensors,
     "others": lambda: markdown_table(
-        ("file", "endings", "the step that helps"),
+        ("file", "endings", "what to do"),
         [(known.name, _other(known.endings), known.step) for known in OTHER_FORMATS if known.endings],
     ),
 }
