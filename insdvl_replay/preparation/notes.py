@@ -124,13 +124,13 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     "own_measurement_jacobian unwritten": (
         WARNING,
         "{plugin} leaves {left} at zero where filters.{filter} starts: its readings change nothing there",
-        "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs",
+        "H is the change of z by what the INS is off: docs/own_filter.md has columns and signs",
     ),
     "own_measurement_jacobian wrong": (
         WARNING,
         "H of {plugin} contradicts its z where filters.{filter} starts: H[{row}, {column}] is {given:.3g}, and z "
         "changes by {found:.3g}",
-        "H is the change of z by what the INS is off: docs/own_measurement.md has columns and signs",
+        "H is the change of z by what the INS is off: docs/own_filter.md has columns and signs",
     ),
     # Recorded solutions.
     "solution_turned": (

@@ -40,7 +40,7 @@ from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
 from insdvl_replay.preparation.notes import note
 
 Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
-SHOWN: Final = "docs/own_measurement.md shows one"
+SHOWN: Final = "docs/own_filter.md shows one"
 NO_END: Final = int(np.iinfo(np.int64).max)
 APART_NS: Final = 60 * NS_PER_S  # between two outages of one call: user code mostly looks back less
 ONE_BY_ONE: Final = 4  # outages that are asked for one by one; more take four calls, if the user's code allows
