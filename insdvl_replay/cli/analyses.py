@@ -31,9 +31,9 @@ def inspect(
         Path | None,
         typer.Option("--propose", metavar="FILE", help="Write settings with which to run these dives; looks deep."),
     ] = None,
-    config: opt.ConfigFiles = [],  # noqa: B006
+    config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
@@ -130,9 +130,9 @@ def calibrate(
     page_file: Annotated[
         Path | None, typer.Option("--page", metavar="FILE", help="Write it with pictures as one HTML page.")
     ] = None,
-    config: opt.ConfigFiles = [],  # noqa: B006
+    config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     only: Annotated[
         str | None,
         typer.Option(
@@ -153,7 +153,7 @@ def calibrate(
         typer.Option(
             "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
         ),
-    ] = [],  # noqa: B006
+    ] = [],
     format_: opt.PrintedAs = "table",
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
@@ -315,15 +315,15 @@ def montecarlo(
             help="How the sensors err: matched (exactly as the first filter believes), fog, tactical or mems.",
         ),
     ] = "matched",
-    outage: opt.Outages = [],  # noqa: B006
+    outage: opt.Outages = [],
     jobs: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="Runs at the same time; left out, one for each core.")
     ] = None,
     output: StudyOutput = Path("study"),
     png: Png = False,
-    config: opt.ConfigFiles = [],  # noqa: B006
+    config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
@@ -369,9 +369,9 @@ def window(
     jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time.")] = 1,
     output: StudyOutput = Path("study"),
     png: Png = False,
-    config: opt.ConfigFiles = [],  # noqa: B006
+    config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
@@ -412,9 +412,9 @@ def observability(
     no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
     output: StudyOutput = Path("study"),
     png: Png = False,
-    config: opt.ConfigFiles = [],  # noqa: B006
+    config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,

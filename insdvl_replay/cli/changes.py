@@ -18,17 +18,17 @@ def compare(
     new: Annotated[Path, typer.Argument(metavar="NEW", help="The same after the change.")],
     dives: Annotated[
         list[str], typer.Option("--dive", metavar="NAME", help="Compare this dive alone. May be repeated.")
-    ] = [],  # noqa: B006
+    ] = [],
     tables: Annotated[
         list[str], typer.Option("--table", metavar="NAME", help="Compare this table alone. May be repeated.")
-    ] = [],  # noqa: B006
+    ] = [],
     columns: Annotated[
         list[str], typer.Option("--column", metavar="NAME", help="Compare this column alone. May be repeated.")
-    ] = [],  # noqa: B006
+    ] = [],
     pairs: Annotated[
         list[str],
         typer.Option("--pair", metavar="OLD=NEW", help="Compare filters of different names. May be repeated."),
-    ] = [],  # noqa: B006
+    ] = [],
     tolerance: Annotated[
         str | None,
         typer.Option(metavar="P%", help="Up to here a change is none. Left out: up to the last printed digit."),
@@ -87,7 +87,7 @@ def check(
         typer.Argument(
             metavar="[DIVE]...", help="Logs, bags, result folders, patterns, .txt lists; left out: those in GATES."
         ),
-    ] = [],  # noqa: B006
+    ] = [],
     update: Annotated[bool, typer.Option("--update", help="Show what moved, then make it the baseline.")] = False,
     results: Annotated[
         Path, typer.Option("--results", metavar="DIR", help="Where each replayed dive gets a folder of its name.")
@@ -97,9 +97,9 @@ def check(
         typer.Option(
             "-c", "--config", metavar="FILE", help="Settings in place of those named in GATES. May be repeated."
         ),
-    ] = [],  # noqa: B006
+    ] = [],
     preset: opt.Preset = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
     format_: Annotated[opt.CheckFormat, typer.Option("--format", help="How it is told.")] = "text",
@@ -111,10 +111,10 @@ def check(
     ] = None,
     only: Annotated[
         list[str], typer.Option("--only", metavar="GATE", help="Gates of this name or pattern alone. May be repeated.")
-    ] = [],  # noqa: B006
+    ] = [],
     skip: Annotated[
         list[str], typer.Option("--skip", metavar="GATE", help="No gates of this name or pattern. May be repeated.")
-    ] = [],  # noqa: B006
+    ] = [],
     shard: Annotated[
         str, typer.Option("--shard", metavar="I/N", help="Every N-th dive from the I-th: a part of the archive.")
     ] = "1/1",

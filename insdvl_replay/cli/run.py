@@ -23,17 +23,17 @@ def run(
     output: Annotated[
         Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
     ] = Path("replay"),
-    config: opt.ConfigFiles = [],  # noqa: B006
+    config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
     start: opt.Start = None,
     end: opt.End = None,
-    settings: opt.Settings = [],  # noqa: B006
+    settings: opt.Settings = [],
     starts: Annotated[
         int | None,
         typer.Option(metavar="K", min=1, help="Run each filter from K drawn starts; 16 unless the settings say."),
     ] = None,
     format_: Annotated[opt.Format, typer.Option("--format", help="How the tables are printed.")] = "table",
-    tables: opt.ChosenTables = [],  # noqa: B006
+    tables: opt.ChosenTables = [],
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
     one_dive: opt.OneDive = False,

@@ -41,21 +41,21 @@ def simulate(
             metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=opt.grade_names
         ),
     ] = "fog",
-    outage: opt.Outages = [],  # noqa: B006
+    outage: opt.Outages = [],
     lost_beam: Annotated[
         list[str],
         typer.Option(
             metavar="BEAM:START:END",
             help="The same for one beam, counted from 0, which tables call beam_1. May be repeated.",
         ),
-    ] = [],  # noqa: B006
+    ] = [],
     sensor: Annotated[
         list[str],
         typer.Option(
             metavar="NAME=SD[@HZ]",
             help=f"{', '.join(SENSORS)}: its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
         ),
-    ] = [],  # noqa: B006
+    ] = [],
     lever_arm: Annotated[
         str, typer.Option(metavar="X,Y,Z", help="From the IMU to the DVL, forward, starboard, down, m.")
     ] = "0,0,0",
@@ -156,8 +156,8 @@ def config(
         typer.Option(
             "-c", "--config", "--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."
         ),
-    ] = [],  # noqa: B006
-    settings: opt.Settings = [],  # noqa: B006
+    ] = [],
+    settings: opt.Settings = [],
     verbose: opt.Verbose = 0,
 ) -> None:
     """Print the resolved settings as commented TOML.
