@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Final, TypeVar
+from typing import Any, ClassVar, Final, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,18 +90,32 @@ def at_time(time_ns: TimeNs, values: Floats, at_ns: int) -> Floats:
     return np.array([np.interp(0.0, offset_s, column) for column in values[near].T])
 
 
-def _between(time_ns: TimeNs, start_ns: int, end_ns: int) -> slice:
-    """Return the rows from the start to the end, both included."""
-    return slice(np.searchsorted(time_ns, start_ns), np.searchsorted(time_ns, end_ns, side="right"))
+@dataclass(frozen=True)
+class Columns:
+    """Rows at times, all at once or some of them."""
+
+    time_ns: TimeNs  # (k,) of validity, strictly increasing
+    per_row: ClassVar[tuple[str, ...]] = ()  # the other fields that have a row at each time, or are None
+
+    def rows(self, keep: NDArray[np.bool_] | slice) -> Self:
+        """Keep some of the rows, chosen by a mask of shape (k,) or, without copying them, by a slice."""
+        columns = {name: getattr(self, name) for name in self.per_row}
+        kept: dict[str, Any] = {name: column if column is None else column[keep] for name, column in columns.items()}
+        return replace(self, time_ns=self.time_ns[keep], **kept)
+
+    def within(self, start_ns: int, end_ns: int) -> Self:
+        """Keep the rows from the start to the end, both included, without copying them."""
+        first, last = np.searchsorted(self.time_ns, start_ns), np.searchsorted(self.time_ns, end_ns, side="right")
+        return self.rows(slice(int(first), int(last)))
 
 
 @dataclass(frozen=True)
-class ImuColumns:
+class ImuColumns(Columns):
     """Readings of the accelerometers and gyros."""
 
-    time_ns: TimeNs  # (k,) of validity, strictly increasing, as in all columns
     specific_force_b: Floats  # (k, 3) m/s^2
     angular_rate_b: Floats  # (k, 3) against inertial space, rad/s
+    per_row = ("specific_force_b", "angular_rate_b")
 
     @cached_property
     def usual_step_s(self) -> float:
@@ -109,57 +123,43 @@ class ImuColumns:
         steps_ns = np.diff(self.time_ns)
         return float(np.median(steps_ns)) / NS_PER_S if steps_ns.size else np.nan
 
-    def within(self, start_ns: int, end_ns: int) -> "ImuColumns":
-        """Keep the samples from the start to the end, without copying them."""
-        rows = _between(self.time_ns, start_ns, end_ns)
-        return ImuColumns(self.time_ns[rows], self.specific_force_b[rows], self.angular_rate_b[rows])
-
     def times_only(self) -> "ImuColumns":
         """Return the times with no rows of readings, which are the better part of a long dive's memory."""
         return ImuColumns(self.time_ns, self.specific_force_b[:0].copy(), self.angular_rate_b[:0].copy())
 
 
 @dataclass(frozen=True)
-class DvlColumns:
+class DvlColumns(Columns):
     """Pings of the DVL, either as beams or as velocities."""
 
-    time_ns: TimeNs  # (m,)
-    beam_velocity_mps: Floats | None = None  # (m, beams) along the beams, towards the seabed; NaN where a beam is lost
+    beam_velocity_mps: Floats | None = None  # (k, beams) along the beams, towards the seabed; NaN where a beam is lost
     beam_vectors_d: Floats | None = None  # (beams, 3) unit vectors towards the seabed; none with velocities: a Janus's
-    velocity_d: Floats | None = None  # (m, 3) over ground, m/s, NaN where invalid; of instruments without beams
+    velocity_d: Floats | None = None  # (k, 3) over ground, m/s, NaN where invalid; of instruments without beams
     look_d: Floats | None = None  # (3,) where the beams look on average, if the messages tell it
-
-    def rows(self, keep: NDArray[np.bool_]) -> "DvlColumns":
-        """Keep some of the pings, chosen by a mask of shape (m,)."""
-        beams, velocity = (part if part is None else part[keep] for part in (self.beam_velocity_mps, self.velocity_d))
-        return replace(self, time_ns=self.time_ns[keep], beam_velocity_mps=beams, velocity_d=velocity)
+    per_row = ("beam_velocity_mps", "velocity_d")
 
 
 @dataclass(frozen=True)
-class SensorColumns:
+class SensorColumns(Columns):
     """Readings of a sensor beside IMU and DVL, see `states.SENSORS`."""
 
-    time_ns: TimeNs  # (k,)
     values: Floats  # (k, s); of a depth m below the surface; of a position NaN for a height that a fix lacks
     mat_nb: Floats | None = None  # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
-
-    def rows(self, keep: NDArray[np.bool_]) -> "SensorColumns":
-        """Keep some of the rows, chosen by a mask of shape (k,)."""
-        return SensorColumns(self.time_ns[keep], self.values[keep], None if self.mat_nb is None else self.mat_nb[keep])
+    per_row = ("values", "mat_nb")
 
 
 @dataclass(frozen=True)
-class ReferenceColumns:
+class ReferenceColumns(Columns):
     """Another filter's solution, to start from and to compare with. NaN rows where a quantity is not given."""
 
-    time_ns: TimeNs  # (r,)
-    position: Floats  # (r, 3) latitude rad, longitude rad, height m
-    velocity_n: Floats  # (r, 3) over ground, m/s
-    mat_nb: Floats  # (r, 3, 3)
+    position: Floats  # (k, 3) latitude rad, longitude rad, height m
+    velocity_n: Floats  # (k, 3) over ground, m/s
+    mat_nb: Floats  # (k, 3, 3)
+    per_row = ("position", "velocity_n", "mat_nb")
 
     @cached_property
     def known(self) -> dict[str, NDArray[np.bool_]]:
-        """Which rows hold finite numbers, shape (r,), of the positions, heights, velocities and attitudes."""
+        """Which rows hold finite numbers, shape (k,), of the positions, heights, velocities and attitudes."""
         quantities = {
             "positions": self.position[:, :2],
             "heights": self.position[:, 2:],
@@ -183,14 +183,6 @@ class ReferenceColumns:
         """Whether any row has an attitude."""
         return bool(self.known["attitudes"].any())
 
-    def rows(self, keep: NDArray[np.bool_] | slice) -> "ReferenceColumns":
-        """Keep some of the rows, chosen by a mask of shape (r,) or a slice."""
-        return ReferenceColumns(self.time_ns[keep], self.position[keep], self.velocity_n[keep], self.mat_nb[keep])
-
-    def within(self, start_ns: int, end_ns: int) -> "ReferenceColumns":
-        """Keep the rows from the start to the end, without copying them."""
-        return self.rows(_between(self.time_ns, start_ns, end_ns))
-
     def without_attitude(self) -> "ReferenceColumns":
         """Return positions and velocities alone."""
         return replace(self, mat_nb=nothing(self.mat_nb.shape))
@@ -213,12 +205,12 @@ class SolutionColumns:
 
 
 @dataclass(frozen=True)
-class TruthColumns:
+class TruthColumns(Columns):
     """Sensor biases that only a simulation can know."""
 
-    time_ns: TimeNs  # (r,)
-    accel_bias_b: Floats  # (r, 3) m/s^2
-    gyro_bias_b: Floats  # (r, 3) rad/s
+    accel_bias_b: Floats  # (k, 3) m/s^2
+    gyro_bias_b: Floats  # (k, 3) rad/s
+    per_row = ("accel_bias_b", "gyro_bias_b")
 
 
 @dataclass(frozen=True)
