@@ -65,17 +65,13 @@ def unique_names(paths: Sequence[Path]) -> list[str]:
     and ``test``. A ConfigError names two dives that folders do not tell apart either.
     """
     whole = [(*_whole(path).parts[1:-1], dive_name(path)) for path in paths]
-    lengths = [1] * len(paths)
-    while True:
-        names = [_writable("_".join(parts[-length:])) for parts, length in zip(whole, lengths, strict=True)]
-        endings = [parts[-length:] for parts, length in zip(whole, lengths, strict=True)]
-        times = Counter(endings)
-        shared = [place for place, ending in enumerate(endings) if times[ending] > 1]
-        longer = [place for place in shared if lengths[place] < len(whole[place])]
-        if not longer:
-            break
-        for place in shared:
-            lengths[place] += 1
+    deepest = max(map(len, whole), default=0)
+    times = [Counter(parts[-length:] for parts in whole) for length in range(1, deepest + 1)]
+    names = []
+    for parts in whole:
+        endings = [parts[-length:] for length in range(1, len(parts) + 1)]
+        alone = (ending for ending, count in zip(endings, times, strict=False) if count[ending] == 1)
+        names.append(_writable("_".join(next(alone, parts))))
     for name, count in Counter(names).items():
         if count > 1:
             both = " and ".join(str(path) for path, other in zip(paths, names, strict=True) if other == name)

@@ -75,7 +75,7 @@ def probability_beyond_3_sd(share: float, independent: float) -> float:
     return expected / share if count < 1.0 else float(betainc(count, independent - count + 1.0, expected))
 
 
-class JudgedMean(NamedTuple):
+class MeanVerdict(NamedTuple):
     """A mean NIS or NEES, the interval of consistent filters, and the verdict that follows."""
 
     mean: float = math.nan
@@ -85,7 +85,7 @@ class JudgedMean(NamedTuple):
     why: Reason = Reason.NONE
 
 
-def judged_mean(squared: Floats, dof: int, samples: float) -> JudgedMean:
+def mean_verdict(squared: Floats, dof: int, samples: float) -> MeanVerdict:
     """Judge the mean of squares that are worth so many independent samples.
 
     Few samples prove that it is too large, but not that it is as it should be.
@@ -94,7 +94,7 @@ def judged_mean(squared: Floats, dof: int, samples: float) -> JudgedMean:
     word, why = consistency_verdict(mean, low, high, dof)
     if dof * samples < FEWEST_UPDATES and word in (Consistency.CONSISTENT, Consistency.CONSERVATIVE):
         word, why = Consistency.INSUFFICIENT, Reason.NONE
-    return JudgedMean(mean, low, high, word, why)
+    return MeanVerdict(mean, low, high, word, why)
 
 
 # --- The table.
@@ -128,7 +128,7 @@ def consistency_table(
             dof, correlation = part.shape[1], autocorrelation(part, used | held_out)
             nis = (innovations.nis[met] if name == measurement else part[:, 0] ** 2) * weight
             # Of a held-out sensor, what is off stays in the next innovation: fewer are independent.
-            mean = _judged(nis, dof, part if held_out else None) if has_states else JudgedMean()
+            mean = _nis_verdict(nis, dof, part if held_out else None) if has_states else MeanVerdict()
             if mean.verdict == Consistency.CONSERVATIVE:
                 # An error that stays is one sample, and where it happens to be small, or is none at an exact start,
                 # nothing shows that it stays. By a held-out sensor a filter is conservative only where differences are
@@ -136,7 +136,7 @@ def consistency_table(
                 stays = measurement in SENSORS and repeats(*correlation)
                 if held_out:
                     by_sensor = (innovations.innovation / sensor_sd[sensor])[:, components]
-                    found = _judged(np.sum(by_sensor**2, axis=1), dof, by_sensor)
+                    found = _nis_verdict(np.sum(by_sensor**2, axis=1), dof, by_sensor)
                     stays = found.verdict != Consistency.CONSERVATIVE
                 if stays:
                     mean = mean._replace(verdict=Consistency.INSUFFICIENT, why=Reason.ONE_SAMPLE)
@@ -161,13 +161,13 @@ def consistency_table(
     return rows
 
 
-def _judged(nis: Floats, dof: int, components: Floats | None = None) -> JudgedMean:
+def _nis_verdict(nis: Floats, dof: int, components: Floats | None = None) -> MeanVerdict:
     """Judge a mean NIS; components in their own standard deviations that repeat themselves are fewer samples."""
     if len(nis) < FEWEST_UPDATES:
-        return JudgedMean(verdict=Consistency.INSUFFICIENT)
+        return MeanVerdict(verdict=Consistency.INSUFFICIENT)
     repeated = components is not None and np.isfinite(components).all()
     samples = samples_in_mean_square(components) if components is not None and repeated else float(len(nis))
-    return judged_mean(nis, dof, samples)
+    return mean_verdict(nis, dof, samples)
 
 
 def rejected(innovations: Innovations) -> NDArray[np.bool_]:

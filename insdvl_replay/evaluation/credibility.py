@@ -28,9 +28,9 @@ from insdvl_replay.core.tables import CredibilityRow
 from insdvl_replay.core.words import Consistency, Reason
 from insdvl_replay.evaluation.consistency import (
     CONFIDENCE,
-    JudgedMean,
+    MeanVerdict,
     chi_square_quantile,
-    judged_mean,
+    mean_verdict,
     probability_beyond_3_sd,
 )
 from insdvl_replay.evaluation.reference_errors import errors_at
@@ -156,7 +156,7 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
     for name in filters:
         if not errors:
             groups = [group for group, states in CREDIBILITY_GROUPS.items() if states.stop <= BA.start]
-            nothing = JudgedMean(verdict=Consistency.NO_REFERENCE)
+            nothing = MeanVerdict(verdict=Consistency.NO_REFERENCE)
             names = (*CREDIBILITY_QUANTITIES[: BA.start], *groups, JOINT)
             rows += [_row(log, name, quantity, 1, 0, nothing) for quantity in names]
             continue
@@ -168,13 +168,13 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
         samples_in_vehicle[LEVEL] = [_samples_of(in_vehicle, state) for state in range(LEVEL.start, LEVEL.stop)]
         for state, quantity in enumerate((*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[:n]):
             if has_sd[state] and (state < BA.start or ever[state]):
-                rows.append(_judged_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle))
+                rows.append(_compared_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle))
         # What stays the same in n turns with the vehicle from one of its axes to the other: a group would not show it.
         for group, states in ALL_CREDIBILITY_GROUPS.items():
             if has_sd[states].any() and (states.stop <= BA.start or ever[states].any()):
-                rows.append(_judged_row(log, group, in_n, np.arange(states.start, states.stop), samples))
+                rows.append(_compared_row(log, group, in_n, np.arange(states.start, states.stop), samples))
         if has_sd.any():
-            rows.append(_judged_row(log, JOINT, in_n, np.flatnonzero(ever), samples))
+            rows.append(_compared_row(log, JOINT, in_n, np.flatnonzero(ever), samples))
     return rows
 
 
@@ -197,7 +197,7 @@ def _row(
     quantity: str,
     dof: int,
     samples: int,
-    mean: JudgedMean,
+    mean: MeanVerdict,
     shares_pct: tuple[float, float] = (np.nan, np.nan),  # within one and three standard deviations
     independent: float = np.nan,
 ) -> CredibilityRow:
@@ -218,7 +218,7 @@ def _row(
     )
 
 
-def _judged_row(
+def _compared_row(
     log: str,
     quantity: str,
     errors: StateErrors,
@@ -230,7 +230,7 @@ def _judged_row(
     samples, dof = standardised.shape
     if not samples or not np.isfinite(standardised).all():
         word = Consistency.NOT_FINITE if samples else Consistency.NOT_IN_REFERENCE
-        return _row(log, errors.filter, quantity, dof, samples, JudgedMean(verdict=word))
+        return _row(log, errors.filter, quantity, dof, samples, MeanVerdict(verdict=word))
 
     # How many samples the errors are worth that hang on those of other states, which may be slower. What a share s of
     # the variance hangs on is the same in all of the dive, or in as much of it as makes one sample of the other state:
@@ -246,7 +246,7 @@ def _judged_row(
         independent = float(1.0 / np.max(repeated, where=np.isfinite(repeated), initial=1.0 / independent))
 
     squared = np.sum(standardised**2, axis=1)
-    mean = judged_mean(squared, dof, independent)
+    mean = mean_verdict(squared, dof, independent)
     # The ellipsoids that are exceeded as rarely as a normal variable exceeds one and three standard deviations.
     near_pct, far_pct = (
         100.0 * float(np.mean(squared <= chi_square_quantile(float(chdtr(1, sigmas**2)), dof))) for sigmas in (1.0, 3.0)

@@ -163,12 +163,10 @@ def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
     """Return the ends of a filter's windows; those of two filters are pairs."""
     rows = np.searchsorted(outages.plan.runs[0], windows.first)
     ends = [(outages.runs[name][row], step) for row, step in zip(rows, windows.last - windows.first, strict=True)]
-    drift_n = np.array([run.drift_n[step] for run, step in ends]).reshape(-1, 3)
-    velocity_error_n = np.array([run.velocity_error_n[step] for run, step in ends]).reshape(-1, 3)
-    nis = np.array([run.nis[step] for run, step in ends])
+    columns = [(*run.drift_n[step], *run.velocity_error_n[step], run.nis[step]) for run, step in ends]
+    north_m, east_m, down_m, north_mps, east_mps, _, nis = np.array(columns, np.float64).reshape(-1, 7).T
     with np.errstate(over="ignore", invalid="ignore"):
-        horizontal_m, horizontal_mps = (np.hypot(vector[:, 0], vector[:, 1]) for vector in (drift_n, velocity_error_n))
-    return WindowEnds(horizontal_m, np.abs(drift_n[:, 2]), horizontal_mps, nis)
+        return WindowEnds(np.hypot(north_m, east_m), np.abs(down_m), np.hypot(north_mps, east_mps), nis)
 
 
 def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:

@@ -126,13 +126,14 @@ def reference_errors(history: History, reference: ReferenceColumns, baseline: Hi
     time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
     ours += 1
     error_ned_m = north_east_down_m(history.position[ours], reference.position[theirs])
+    located_ns = time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]
     return ReferenceErrors(
-        time_ns,
-        error_ned_m,
-        history.velocity_n[ours] - reference.velocity_n[theirs],
-        attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
-        compared_distance_m(reference, baseline or history, time_ns[np.isfinite(error_ned_m[:, :2]).all(axis=1)]),
-        north_east_down_m(history.dead_reckoned[ours], reference.position[theirs]),
+        time_ns=time_ns,
+        position_error_ned_m=error_ned_m,
+        velocity_error_n=history.velocity_n[ours] - reference.velocity_n[theirs],
+        attitude_error_rad=attitude_error(history.mat_nb[ours], reference.mat_nb[theirs]),
+        distance_m=compared_distance_m(reference, baseline or history, located_ns),
+        drifting_ned_m=north_east_down_m(history.dead_reckoned[ours], reference.position[theirs]),
     )
 
 

@@ -138,23 +138,23 @@ def not_evaluated(
     # Filters that are aided by the reference's own readings, or made of it: errors against it say nothing. Depth has no
     # vote, and the rest of the reference is as good as before.
     shared = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
-    unfit, misled = dict[str, str](), dict[str, str]()
+    invalid, suspect = dict[str, str](), dict[str, str]()
     for history in histories:
         name = history.filter
         if f"solution_{name}" in shared:
-            unfit[name] = f"{name} is, or may know, the reference"
+            invalid[name] = f"{name} is, or may know, the reference"
         for sensor in (met.measurement for met in history.innovations if met.measurement in shared - {"depth"}):
-            unfit[name] = f"{name} is aided by the {sensor} that the reference is made of"
+            invalid[name] = f"{name} is aided by the {sensor} that the reference is made of"
         if found := surprised(name, tables.consistency) or far_off(history, histories[0], errors, tables):
-            misled[name] = found
-    unfit |= diverged_filters(histories)
+            suspect[name] = found
+    invalid |= diverged_filters(histories)
     contradicted = "; ".join(note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning")
     baseline, *candidates = (history.filter for history in histories)
     unsound = {}
     for candidate in candidates:
         pair = baseline, candidate
-        wrong = [unfit[name] for name in pair if name in unfit]
-        wrong += [misled[name] for name in pair] if misled.keys() >= set(pair) else []
+        wrong = [invalid[name] for name in pair if name in invalid]
+        wrong += [suspect[name] for name in pair] if suspect.keys() >= set(pair) else []
         left = nothing_better(row for row in tables.evidence if row.filter == candidate)
         too_large = "" if judgement_of(left) == Judgement.WORSE else surprised(candidate, tables.consistency)
         if reason := contradicted or " and ".join(wrong) or too_large:
