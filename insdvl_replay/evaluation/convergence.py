@@ -9,6 +9,7 @@ of the dive is its last tenth.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from insdvl_replay.core.dive_columns import Floats, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import CONVERGED
-from insdvl_replay.core.states import DV, NINE, PHI, STATES, State
+from insdvl_replay.core.states import DV, NINE, STATES, State
 from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow, finite
 from insdvl_replay.core.words import ConvergenceStatus, ImprovementStatus
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, improvement_pct, squared_errors
@@ -160,27 +161,23 @@ class ConvergenceCurves(NamedTuple):
 
 def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
     """Return the rms of each filter's true errors over its drawn starts, without the dive's own, by quantity."""
-    drawn = [errors for errors in drawn if len(errors.error) >= FEWEST_STARTS]
-    squares, curves = [squared_errors(errors) for errors in drawn], {}
-    for quantity, name in CONVERGED.items() if drawn else ():
-        found = [square[name][1:] for square in squares if name in square]
-        known = np.all([np.isfinite(square).any(axis=0) for square in found], axis=0)
-        if len(found) < len(drawn) or not known.any():
+    drawn, curves = [errors for errors in drawn if len(errors.error) >= FEWEST_STARTS], {}
+    squares = [squared_errors(errors) for errors in drawn]
+    as_predicted = [replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None]) for errors in drawn]
+    predicted, names = [squared_errors(errors) for errors in as_predicted], [errors.filter for errors in drawn]
+    for quantity, name in CONVERGED.items():
+        if not (drawn and all(name in square for square in squares)):
             continue
-        for errors in drawn:
-            with np.errstate(over="ignore"):
-                predicted: dict[str, Floats] = {
-                    "velocity": (errors.sd[:, DV] ** 2)[:, :2].sum(axis=1),
-                    "level": (errors.sd[:, PHI] ** 2)[:, :2].mean(axis=1),
-                    "heading": errors.sd[:, PHI.stop - 1] ** 2,
-                }
-            found.append(predicted[quantity][None])
-        at_s, *means = over_last_part(drawn[0].time_s[known], *(square[:, known] for square in found))
-        names = [errors.filter for errors in drawn]
-        rms = dict(zip(names, [np.sqrt(mean.mean(axis=0)) for mean in means[: len(names)]], strict=True))
-        expected = dict(zip(names, [np.sqrt(mean[0]) for mean in means[len(names) :]], strict=True))
-        limit = float(limit_of(rms[names[0]][-1], len(found[0])))
-        curves[quantity] = ConvergenceCurves(at_s, rms, expected, limit)
+        found = [square[name][1:] for square in squares]
+        known = np.all([np.isfinite(square).any(axis=0) for square in found], axis=0)
+        if known.any():
+            time_s = drawn[0].time_s[known]
+            found += [square.get(name, np.full((1, len(known)), np.nan)) for square in predicted]
+            at_s, *means = over_last_part(time_s, *(square[:, known] for square in found))
+            rms, expected = np.split(np.sqrt([mean.mean(axis=0) for mean in means]), 2)
+            limit = float(limit_of(rms[0][-1], len(found[0])))
+            rms_of, expected_of = (dict(zip(names, errors, strict=True)) for errors in (rms, expected))
+            curves[quantity] = ConvergenceCurves(at_s, rms_of, expected_of, limit)
     return curves
 
 
