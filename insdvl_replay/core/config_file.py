@@ -38,7 +38,7 @@ from insdvl_replay.core.errors import (
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
 KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and places in arrays among them.
-Table = TypeVar("Table", bound=Struct)
+S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
 LARGEST: Final = 1e30  # Nothing that is measured is larger, and powers of what is smaller are still numbers.
@@ -115,7 +115,7 @@ def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> 
         raise ConfigError(f"{path}: is not valid TOML: {error}", if_invalid) from error
 
 
-def converted(table: object, kind: type[Table], source: TomlSource, *at: str, label: str = "") -> Table:
+def converted(table: object, kind: type[S], source: TomlSource, *at: str, label: str = "") -> S:
     """Convert a table to its structure; a ConfigError tells a mistake with its key, value and what was meant.
 
     The label names the table, which is otherwise named by its path from the top.

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
 from msgspec import Meta, Struct
 
@@ -65,8 +65,12 @@ class TableLayout:
         hints = get_type_hints(row, include_extras=True)
         self.name = name  # as in ``report.json`` and in the name of the CSV file
         self.row = row
-        self.columns = {column: _column(hints[column]) for column in row.__struct_fields__}
-        self.kinds: dict[str, Kind] = {column: _kind(hints[column]) for column in self.columns}
+        self.columns: dict[str, Col] = {}
+        self.kinds: dict[str, Kind] = {}
+        for column in row.__struct_fields__:
+            kind, *parts = get_args(hints[column]) if get_origin(hints[column]) is Annotated else (hints[column],)
+            self.columns[column] = next((part for part in parts if isinstance(part, Col)), Col())
+            self.kinds[column] = "text" if kind is str else "count" if kind is int else "number"
         # The column that, with log and filter, names a row, and what it may name; empty for names of the user.
         self.key = next((column for column, found in self.columns.items() if found.names is not None), "filter")
         self.rows = self.columns[self.key].names or () if self.key in self.columns else ()
@@ -89,15 +93,6 @@ class TableLayout:
 def layout_of(name: str, row: type[Struct]) -> TableLayout:
     """Return the layout of a table by its row type."""
     return TableLayout(name, row)
-
-
-def _column(hint: Any) -> Col:
-    return next((found for found in getattr(hint, "__metadata__", ()) if isinstance(found, Col)), Col())
-
-
-def _kind(hint: Any) -> Kind:
-    plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-    return "text" if plain is str else "count" if plain is int else "number"
 
 
 _WHY: Final = Col("Why the verdict is not what the interval says, if it is not.")

@@ -63,7 +63,9 @@ DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 # Quantities in which a heading that is off shows in the second order alone.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
 OF_STARTS: Final = ("level", "heading")  # Quantities that are judged from drawn starts alone.
-FEWEST_STARTS: Final = 8  # With fewer, levels and headings are no evidence: each start is one sample of them.
+# With fewer, levels and headings are no evidence: each start is one sample of them. Nor is a prediction confirmed: that
+# errors of the start wear off is most of it.
+FEWEST_STARTS: Final = 8
 # A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive.
 SOONER: Final = 0.25
 NOISE_OF_REFERENCE: Final = "mostly noise of the reference"
@@ -120,9 +122,7 @@ def accuracy_errors(
     segments_of = {length_s: time_segments(time_ns, length_s) for length_s in SEGMENTS_S}
     if is_covered(whole.position_error_ned_m[0, :, :2]) and not bridged_gaps:
         along = distance_segments(time_ns, reference_distance_m(reference, time_ns))
-        for name, segments in zip(
-            ("drift_30s", "drift_60s", "drift_100m"), (*segments_of.values(), along), strict=True
-        ):
+        for name, segments in zip(DRIFTS, (*segments_of.values(), along), strict=True):
             drift_m, floor_m = segment_drift(drawn, segments).horizontal_m, 2.0 * noise.position_m  # of both ends
             found[name] = SquaredErrors("m", drift_m**2, segments.steps, floor_m)
     if is_covered(whole.velocity_error_n[0, :, :2]):

@@ -43,6 +43,7 @@ from insdvl_replay.core.tables import (
 from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine, unchanged_over_nine
+from insdvl_replay.evaluation.evidence import FEWEST_STARTS
 from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, what_settles, word_of
@@ -52,8 +53,6 @@ CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be meas
 # Quantities whose median change stands for the error against the reference.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
-# From fewer drawn starts nothing is said of what is predicted: it is mostly that errors of the start wear off.
-FEWEST_STARTS: Final = 8
 MANY_TIMES: Final = 3.0  # From here on, nobody reads percent.
 MOST_NAMED: Final = 2  # So many pieces of evidence are in the sentence with their numbers; the others are in the table.
 MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
