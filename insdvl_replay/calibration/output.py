@@ -1,6 +1,6 @@
 """A calibration as a result for people and programs, as settings, and in pictures."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Final
@@ -50,6 +50,7 @@ from insdvl_replay.show.document import counted, number, table_of
 from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
+_KEPT: Final = {Estimated.HELD: "held; ", Estimated.DOUBTFUL: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
 
@@ -94,20 +95,17 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
     )
 
 
-def _reasons(found: Calibration) -> Iterator[Remark]:
+def _reasons(found: Calibration) -> list[Remark]:
     """State why numbers are not proposed, those with the same reason together."""
 
-    def together(pairs: Iterable[tuple[str, str]], what: str) -> Iterator[Remark]:
-        whys: dict[str, list[str]] = {}
-        for name, why in pairs:
-            whys.setdefault(why, []).append(name)
-        for why, names in whys.items():
-            yield Remark(f"{', '.join(names)}: {what}{why}")
-
-    for status, what in ((Estimated.HELD, "held; "), (Estimated.DOUBTFUL, "not proposed; ")):
-        yield from together(((LABELS[row.parameter], row.why) for row in found.all_rows if row.status == status), what)
+    rows = [(what, row) for status, what in _KEPT.items() for row in found.all_rows if row.status == status]
+    reasons = [(LABELS[row.parameter], what + row.why) for what, row in rows]
     kept = (Estimated.HELD, Estimated.NOT_DETERMINED)
-    yield from together(((row.parameter, row.why) for row in found.noise_rows if row.status in kept), "")
+    reasons += [(row.parameter, row.why) for row in found.noise_rows if row.status in kept]
+    names: dict[str, list[str]] = {}
+    for name, why in reasons:
+        names.setdefault(why, []).append(name)
+    return [Remark(f"{', '.join(same)}: {why}") for why, same in names.items()]
 
 
 # --- The tables as people see them.

@@ -126,18 +126,61 @@ _PROPOSAL: Final = "To start from, as a file for -c; the comments say what was s
 
 def inspection_result(inventory: Inventory) -> Result:
     """Lay out an inventory; on a terminal, where the first sentence names the log, it needs no title."""
-    proposal: list[Part] = []
-    if inventory.configuration:
-        open_points = Sentences(tuple(_open_points(inventory)))
-        proposal = [Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), open_points]
+    log = inventory.log
+    used = sum(1 for topic in inventory.topics if topic.messages)
+    unit, name = next((unit, name) for unit, name in _PREFIXES if log.size_bytes >= unit or unit == 1)
+    size = f"{log.size_bytes / unit:.3g} {name}{f' in {log.parts} parts' if log.parts > 1 else ''}"
+    summary = "" if log.has_summary else ", no summary"
+    compression = f" ({', '.join(log.compression)})" if log.chunks else ""
+    chunks = f"chunks: {log.chunks}{compression}{summary}"
     parts: list[Part] = [
-        Only(("markdown", "latex", "html"), (Title(inventory.log.name),)),
-        *_opening(inventory),
-        *inventory_tables(inventory),
-        Sentences(tuple(_findings(inventory))),
-        Only(("terminal", "markdown"), tuple(proposal)),
+        Only(("markdown", "latex", "html"), (Title(log.name),)),
+        f"{log.name}: {size}, profile {log.profile or MISSING}, written by {log.library or MISSING}",
+        f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {chunks}",
     ]
-    return Result("inspection", inventory.log.name, document=parts, data=inventory)
+    if log.start_utc is not None:
+        parts.append(f"{log.duration_s:.1f} s from {log.start_utc} by the recorder's clock")
+    for kind, names in (("metadata", log.metadata), ("attachments", log.attachments)):
+        parts += [f"{kind}: {', '.join(names)}"] if names else []
+    parts += inventory_tables(inventory)
+
+    # What was seen of pings and reference, every note, every obstacle, and last whether it can be replayed.
+    found: list[Remark] = []
+    if (pings := inventory.pings) is not None:
+        announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
+        messages = f"{'the first ' if pings.messages < announced else ''}{pings.messages} messages"
+        repeated = f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
+        rate = f" at {number(pings.rate_hz)} Hz" if pings.rate_hz is not None else ""
+        beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
+        if not pings.four_or_more + pings.three + pings.fewer:
+            beams = "no beams"
+        found.append(Remark(f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}"))
+    if (reference := inventory.reference) is not None:
+        text = (
+            f"reference: {reference.rows} rows; part of the IMU's time between first and last row: "
+            f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
+            f"attitude {reference.attitude_pct:.0f} %"
+        )
+        found.append(Remark(text))
+    found += [Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes]
+    found += [Remark(f"stops a replay: {blocker.message}", blocker.hint) for blocker in inventory.obstacles]
+    verdict = "can be replayed"
+    if count := len(inventory.obstacles):
+        verdict = f"cannot be replayed as it is: {count} {'thing' if count == 1 else 'things'} to settle first"
+    elif inventory.reading == Reading.SAMPLE:
+        verdict = "nothing seen that would stop a replay; --deep reads the messages whole"
+    parts.append(Sentences((*found, Remark(verdict))))
+
+    # What the proposed settings leave open.
+    if inventory.configuration:
+        left = [Remark(f"to decide in it: {', '.join(inventory.decisions)}")] if inventory.decisions else []
+        for blocker in inventory.remaining:
+            hint = "" if blocker in inventory.obstacles else blocker.hint
+            left.append(Remark(f"stops a replay with it too: {blocker.message}", hint))
+        left = left or [Remark("nothing is left open in it")]
+        proposal = (Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), Sentences(tuple(left)))
+        parts.append(Only(("terminal", "markdown"), proposal))
+    return Result("inspection", log.name, document=parts, data=inventory)
 
 
 def inventory_csv(inventory: Inventory) -> str:
@@ -247,60 +290,3 @@ def _topic_rows(topics: Sequence[TopicFacts]) -> Iterator[tuple[CellText, ...]]:
                 f"{min(other.start_s or 0.0 for other in same):.0f}",
                 f"{max(other.end_s or 0.0 for other in same):.0f}",
             )
-
-
-def _opening(inventory: Inventory) -> Iterator[str]:
-    log = inventory.log
-    used = sum(1 for topic in inventory.topics if topic.messages)
-    unit, name = next((unit, name) for unit, name in _PREFIXES if log.size_bytes >= unit or unit == 1)
-    size = f"{log.size_bytes / unit:.3g} {name}{f' in {log.parts} parts' if log.parts > 1 else ''}"
-    summary = "" if log.has_summary else ", no summary"
-    compression = f" ({', '.join(log.compression)})" if log.chunks else ""
-    yield f"{log.name}: {size}, profile {log.profile or MISSING}, written by {log.library or MISSING}"
-    chunks = f"chunks: {log.chunks}{compression}{summary}"
-    yield f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {chunks}"
-    if log.start_utc is not None:
-        yield f"{log.duration_s:.1f} s from {log.start_utc} by the recorder's clock"
-    for kind, names in (("metadata", log.metadata), ("attachments", log.attachments)):
-        if names:
-            yield f"{kind}: {', '.join(names)}"
-
-
-def _findings(inventory: Inventory) -> Iterator[Remark]:
-    """State what was seen of pings and reference, every note, every obstacle, and last whether it can be replayed."""
-    if (pings := inventory.pings) is not None:
-        announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
-        messages = f"{'the first ' if pings.messages < announced else ''}{pings.messages} messages"
-        repeated = f" ({100 * pings.repeats / pings.messages:.0f} % repeats)" if pings.repeats else ""
-        rate = f" at {number(pings.rate_hz)} Hz" if pings.rate_hz is not None else ""
-        beams = f"valid beams: four or more in {pings.four_or_more}, three in {pings.three}, fewer in {pings.fewer}"
-        if not pings.four_or_more + pings.three + pings.fewer:
-            beams = "no beams"
-        yield Remark(f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}")
-    if (reference := inventory.reference) is not None:
-        yield Remark(
-            f"reference: {reference.rows} rows; part of the IMU's time between first and last row: "
-            f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
-            f"attitude {reference.attitude_pct:.0f} %"
-        )
-    for note in inventory.notes:
-        yield Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint)
-    for obstacle in inventory.obstacles:
-        yield Remark(f"stops a replay: {obstacle.message}", obstacle.hint)
-    if count := len(inventory.obstacles):
-        yield Remark(f"cannot be replayed as it is: {count} {'thing' if count == 1 else 'things'} to settle first")
-    elif inventory.reading == Reading.SAMPLE:
-        yield Remark("nothing seen that would stop a replay; --deep reads the messages whole")
-    else:
-        yield Remark("can be replayed")
-
-
-def _open_points(inventory: Inventory) -> Iterator[Remark]:
-    """State what the proposed settings leave open."""
-    if inventory.decisions:
-        yield Remark(f"to decide in it: {', '.join(inventory.decisions)}")
-    for obstacle in inventory.remaining:
-        hint = "" if obstacle in inventory.obstacles else obstacle.hint
-        yield Remark(f"stops a replay with it too: {obstacle.message}", hint)
-    if not inventory.decisions and not inventory.remaining:
-        yield Remark("nothing is left open in it")
