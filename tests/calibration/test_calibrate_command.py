@@ -204,7 +204,7 @@ def test_a_terminal_sees_how_far_it_is(
     monkeypatch.setenv("TERM", "xterm")
     assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv"]) == 0
     shown = capsys.readouterr().err
-    assert "/12" in shown
+    assert "of 12" in shown
     monkeypatch.setattr(sys.stderr, "isatty", lambda: False)
     assert run_command_line([*calibrate(dives, "dive_1"), "--format", "csv"]) == 0
     assert capsys.readouterr().err == ""
