@@ -8,6 +8,7 @@ from textwrap import fill
 from typing import Any
 
 import msgspec
+import notes
 import typer.main
 from written import PROJECT, markdown_table
 
@@ -208,7 +209,8 @@ def _first(found: Any) -> str:
 
 
 PAGES: dict[str, Callable[[], str]] = {
-    "command_line": command_line, "configuration": configuration, "tables": tables, "python": python,
+    "command_line": command_line, "configuration": configuration, "tables": tables, "notes": notes.written,
+    "python": python,
 }  # fmt: skip
 
 

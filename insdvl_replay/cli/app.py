@@ -10,13 +10,13 @@ from insdvl_replay.cli.analyses import calibrate, inspect, study
 from insdvl_replay.cli.changes import check, compare
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
-from insdvl_replay.cli.utilities import compile_, config, figure, schema, simulate
+from insdvl_replay.cli.utilities import compile_, config, explain, figure, schema, simulate
 
 # Plain help: rich would add 0.1 s to it, and cut it where it is piped.
 app = typer.Typer(
     rich_markup_mode=None, pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]}
 )
-for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema):
+for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema, explain):
     app.command(cls=opt.PlainCommand)(command)
 app.command("compile", cls=opt.PlainCommand)(compile_)
 app.add_typer(study, name="study")

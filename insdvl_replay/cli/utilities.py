@@ -255,6 +255,33 @@ def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
     return {**schema, "$defs": listed(others)}
 
 
+def explain(
+    code: Annotated[
+        str | None, typer.Argument(metavar="CODE", help="The code of a note, such as imu_gaps; left out: all.")
+    ] = None,
+    verbose: opt.Verbose = 0,
+) -> None:
+    """Print what the code of a note means, what it does to the results, and what to do.
+
+    \b
+    Example:
+      insdvl-replay explain imu_gaps
+      insdvl-replay explain
+    """
+    from insdvl_replay.core.notes import SOURCES, explanation, explanations
+
+    if code is not None:
+        found = explanation(code)
+        lines = (visible(code), f"  what happened:  {found.what}", f"  effect:         {found.effect}")
+        write_stdout("\n".join((*lines, f"  what to do:     {found.cure}\n")))
+        return
+    widest = max(len(code) for subject in explanations().values() for code in subject)
+    for subject, entries in explanations().items():
+        write_stdout(f"{subject}\n")
+        write_stdout("".join(f"  {code:{widest}}  {entry.what}\n" for code, entry in entries.items()))
+    write_stdout(f"* stands for a source: {', '.join(SOURCES)}\n")
+
+
 def compile_(verbose: opt.Verbose = 0) -> None:
     """Compile the filter ahead of the first run, which else does it.
 

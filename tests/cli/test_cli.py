@@ -56,6 +56,7 @@ DOCUMENTED = {
     ],
     "config": ["--preset NAME", "-c, --config, --from FILE", "--set KEY=VALUE", "-v, --verbose", "-h, --help"],
     "schema": ["NAME", "-v, --verbose", "-h, --help"],
+    "explain": ["CODE", "-v, --verbose", "-h, --help"],
     "compile": ["-v, --verbose", "-h, --help"],
     "study montecarlo": [
         "SCENARIO", "--runs N", "--seed N", "--run K", "--duration S", "--imu GRADE", "--outage START:END", "--jobs N",

@@ -21,7 +21,8 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
     names = set(zipfile.ZipFile(wheel).namelist())
     messages = (PROJECT / "schemas" / "insdvl_msgs" / "msg").glob("*.msg")
     definitions = (PROJECT / "insdvl_replay" / "logs" / "definitions").rglob("*.msg")
-    wanted = {"insdvl_replay/py.typed", "insdvl_replay/presets/fog.toml", "insdvl_replay/show/page.css"}
+    wanted = {"insdvl_replay/py.typed", "insdvl_replay/presets/fog.toml", "insdvl_replay/core/notes.toml"}
+    wanted |= {"insdvl_replay/show/page.css"}
     wanted |= {f"insdvl_replay/schemas/insdvl_msgs/msg/{path.name}" for path in messages}
     wanted |= {path.relative_to(PROJECT).as_posix() for path in definitions}
     assert wanted <= names
