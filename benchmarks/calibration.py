@@ -153,7 +153,7 @@ def _said(found: Calibration) -> Floats:
     return np.array([finite(row.sd) for row in found.rows]) / shown(np.ones(len(PARAMETERS)))
 
 
-def beside_imu_errors() -> Iterator[Line]:
+def with_estimated_imu_errors() -> Iterator[Line]:
     """Tactical IMUs whose scales are 1500 ppm off and whose axes 1 mrad (sds), with beams as makers say."""
     for name in MOTIONS:
         with patch.object(sim_dive, "SCENARIOS", MOTIONS):
@@ -225,14 +225,14 @@ def wild_pings() -> Iterator[Line]:
 
 def right_angles() -> Iterator[Line]:
     """A mounting that is off by 90 deg."""
-    believed, found_again = 0, 0
+    predicted, found_again = 0, 0
     for seed in range(6000, 6005):
         turned = built_in_otherwise("figure-eight", seed, DvlErrors(), yaw_deg=90.0)
         astray = found_of(turned)
-        believed += astray.rows[NAMES.index("mounting_z")].status == Estimated.ESTIMATED
+        predicted += astray.rows[NAMES.index("mounting_z")].status == Estimated.ESTIMATED
         found = found_of(turned.with_config(with_mounting(CONFIG, likeliest_mounting([turned]))))
         found_again += abs(found.after.mounting_rpy_deg[2] - 90.0) < 1.0
-    yield "90 deg off in heading", "refused", f"believed on {believed} of 5 dives"
+    yield "90 deg off in heading", "refused", f"believed on {predicted} of 5 dives"
     yield "90 deg off, `--mounting unknown`", "found", f"within 1 deg on {found_again} of 5 dives"
 
 
@@ -337,7 +337,7 @@ def times() -> Iterator[Line]:
 
 PARTS: tuple[Callable[[], Iterator[Line]], ...] = (
     errors_over_sds,
-    beside_imu_errors,
+    with_estimated_imu_errors,
     straight_lines,
     wild_pings,
     right_angles,

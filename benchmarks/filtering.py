@@ -69,8 +69,8 @@ def with_insdvl_replay(inputs: Inputs) -> tuple[float, Floats]:
 def with_numpy(inputs: Inputs) -> tuple[float, Floats]:
     """Run the same equations as matrices of numpy."""
     start_s = time.thread_time()
-    belief = run_plain_filter(inputs)
-    return time.thread_time() - start_s, np.sqrt(np.diag(belief.P))[6:]
+    prediction = run_plain_filter(inputs)
+    return time.thread_time() - start_s, np.sqrt(np.diag(prediction.P))[6:]
 
 
 def with_python_ins(case: Case, dive: Dive) -> tuple[float, Floats]:
@@ -79,8 +79,8 @@ def with_python_ins(case: Case, dive: Dive) -> tuple[float, Floats]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         start_s = time.thread_time()
-        belief = their_belief(dive, velocities)
-        return time.thread_time() - start_s, belief.bias_sd
+        prediction = their_belief(dive, velocities)
+        return time.thread_time() - start_s, prediction.bias_sd
 
 
 def gtsam_contenders(inputs: Inputs) -> dict[str, Contender]:

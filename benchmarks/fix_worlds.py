@@ -20,7 +20,7 @@ from insdvl_replay.core.config import Config, Evaluation, Filter, Position
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
 from insdvl_replay.core.tables import EvidenceRow
-from insdvl_replay.core.words import Judgement
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.replay import replay_dive
@@ -67,13 +67,13 @@ def lines(world: World, dives: int, starts: int) -> Iterator[str]:
         replay = replay_dive(made, msgspec.structs.replace(config, evaluation=Evaluation(starts=starts, seed=dive)))
         (found,) = replay.verdicts.values()
         rows = replay.tables.evidence
-        if found.improvement != Judgement.NOT_EVALUATED:
+        if found.verdict != Verdict.NOT_EVALUATED:
             evidence.append(rows)
         told = {row.quantity: f"{row.baseline:.2f} -> {row.value:.2f} {row.unit}" for row in rows}
         ratios = {row.quantity: row.ratio for row in rows}
         nis = next(row for row in replay.tables.consistency if row.measurement == "position")
         yield (
-            f"{found.improvement}: position {told['position']}, at the end {told['position_end']}, "
+            f"{found.verdict}: position {told['position']}, at the end {told['position_end']}, "
             f"drift in 60 s {ratios['drift_60s']:.3f}, outages of 60 s {ratios['outage_60s']:.3f}, "
             f"NIS of fixes {nis.mean_nis:.3g} ({nis.dof} expected)"
         )

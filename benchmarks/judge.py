@@ -29,7 +29,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import EvidenceRow
-from insdvl_replay.core.words import Judgement
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.reference_errors import reference_errors
 from insdvl_replay.evaluation.verdicts import pooled_candidate
 from insdvl_replay.logs import write_dive
@@ -53,20 +53,20 @@ STARTS: Final = ("reference", "drawn")
 
 def word_of_replay(replay: Replay, candidate: str) -> str:
     """Give the program's word on a candidate, one of `WORDS`."""
-    return replay.verdicts[candidate].improvement
+    return replay.verdicts[candidate].verdict
 
 
 def evidence_of_replay(replay: Replay, candidate: str) -> list[EvidenceRow]:
     """Give the evidence of a dive on a candidate; none where it is not evaluated."""
-    if replay.verdicts[candidate].improvement == Judgement.NOT_EVALUATED:
+    if replay.verdicts[candidate].verdict == Verdict.NOT_EVALUATED:
         return []
     return [row for row in replay.tables.evidence if row.filter == candidate]
 
 
-def pooled_word(candidate: str, evidence: Sequence[list[EvidenceRow]]) -> str:
+def pooled_verdict_word(candidate: str, evidence: Sequence[list[EvidenceRow]]) -> str:
     """Give the program's word on a candidate over several dives."""
     judged = [rows for rows in evidence if rows]
-    return pooled_candidate(candidate, "baseline", judged, len(evidence)).judgement
+    return pooled_candidate(candidate, "baseline", judged, len(evidence)).verdict
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Judged(NamedTuple):
     is_copy: bool
 
 
-def judged_candidates(dives: Sequence[JudgedDive], start: str) -> list[Judged]:
+def evaluated_candidates(dives: Sequence[JudgedDive], start: str) -> list[Judged]:
     """Hold the words on each candidate against the truth, which is of filters that start on a kind of start."""
     found = []
     for number, world in enumerate(WORLDS):
@@ -193,7 +193,9 @@ def _ratios(dives: Sequence[JudgedDive], baseline: str, candidate: str, start: s
 def _pooled(dives: Sequence[JudgedDive], candidate: str, size: int) -> Counter[str]:
     """Count the words on whole groups of dives."""
     groups = (dives[first : first + size] for first in range(0, len(dives) - size + 1, size))
-    return Counter(pooled_word(candidate, [dive.evidence.get(candidate, []) for dive in group]) for group in groups)
+    return Counter(
+        pooled_verdict_word(candidate, [dive.evidence.get(candidate, []) for dive in group]) for group in groups
+    )
 
 
 def exchanged_rate(dives: Sequence[JudgedDive], candidates: Sequence[Judged], size: int) -> str:
@@ -205,7 +207,7 @@ def exchanged_rate(dives: Sequence[JudgedDive], candidates: Sequence[Judged], si
         for _ in range(EXCHANGES):
             drawn = rng.choice(len(of_world), size, replace=False) if len(of_world) >= size else ()
             groups = [_exchanged(of_world[i].evidence[candidate], bool(rng.integers(2))) for i in drawn]
-            words[pooled_word(candidate, groups)] += bool(groups)
+            words[pooled_verdict_word(candidate, groups)] += bool(groups)
     return _rate(words, frozenset({"better", "worse", "mixed"}))
 
 
@@ -453,7 +455,7 @@ def main() -> None:
         begun_s = time.monotonic()
         tasks = [(i, dive, arguments.seed) for i in numbers for dive in _dives_of(WORLDS[i], dives)]
         judged = list(judged_dives(tasks, arguments.jobs))
-        candidates = judged_candidates(judged, arguments.truth)
+        candidates = evaluated_candidates(judged, arguments.truth)
         part = write(candidates, dives, arguments.truth, time.monotonic() - begun_s, judged)
         if (dives, arguments.worlds, arguments.seed) in [
             (usual, all_worlds, SEA_SEED) for all_worlds in ([""], ["sea:"])

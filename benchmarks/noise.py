@@ -52,7 +52,7 @@ def rows() -> Iterator[tuple[str, ...]]:
     for world, made, config, aiding in worlds():
         replays = [replay_dive(made(seed), config) for seed in range(DIVES)]
         for name in CANDIDATES:
-            words = Counter(str(replay.verdicts[name].improvement) for replay in replays)
+            words = Counter(str(replay.verdicts[name].verdict) for replay in replays)
             ratios = (f"{ratio(replays, name, quantity):.3f}" for quantity in (DRIFT, NIS))
             yield world, aiding, name, *(str(words[word]) for word in WORDS), *ratios
 

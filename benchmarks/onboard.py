@@ -37,20 +37,20 @@ def flown_dive(preset: str, config: Config, seed: int, factor: float) -> Dive:
     prepared = prepare_dive(dive, config)
     _, start = drawn_starts(prepared.alignment.start, 2, (seed, 77))
     begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
-    flown, reference = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion(), dive.reference
+    onboard, reference = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion(), dive.reference
     assert reference is not None
-    flown = flown.rows(np.isin(flown.time_ns, reference.time_ns))
-    true = reference.rows(np.isin(reference.time_ns, flown.time_ns))
-    solution = SolutionColumns(_with_errors(flown, true, factor), None, *no_covariances())
+    onboard = onboard.rows(np.isin(onboard.time_ns, reference.time_ns))
+    true = reference.rows(np.isin(reference.time_ns, onboard.time_ns))
+    solution = SolutionColumns(_with_errors(onboard, true, factor), None, *no_covariances())
     return replace(dive, solutions={"onboard": solution})
 
 
-def _with_errors(flown: ReferenceColumns, true: ReferenceColumns, factor: float) -> ReferenceColumns:
-    turn = vector_from_mat(flown.mat_nb @ np.swapaxes(true.mat_nb, 1, 2))
+def _with_errors(onboard: ReferenceColumns, true: ReferenceColumns, factor: float) -> ReferenceColumns:
+    turn = vector_from_mat(onboard.mat_nb @ np.swapaxes(true.mat_nb, 1, 2))
     return replace(
-        flown,
-        position=true.position + factor * (flown.position - true.position),
-        velocity_n=true.velocity_n + factor * (flown.velocity_n - true.velocity_n),
+        onboard,
+        position=true.position + factor * (onboard.position - true.position),
+        velocity_n=true.velocity_n + factor * (onboard.velocity_n - true.velocity_n),
         mat_nb=mat_from_vector(factor * turn) @ true.mat_nb,
     )
 
@@ -63,7 +63,7 @@ def rows() -> Iterator[tuple[str, ...]]:
             filters = {"baseline": Filter(aiding=("velocity",)), "onboard": Filter(solution=solution)}
             config = msgspec.structs.replace(load_config(preset), filters=filters)
             dives = (flown_dive(preset, config, seed, factor) for seed in range(DIVES))
-            words = Counter(str(replay_dive(dive, config).verdicts["onboard"].improvement) for dive in dives)
+            words = Counter(str(replay_dive(dive, config).verdicts["onboard"].verdict) for dive in dives)
             yield preset, f"{factor:g}", align, *(str(words[word]) for word in WORDS)
 
 

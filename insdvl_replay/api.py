@@ -161,7 +161,7 @@ class Result:
     @property
     def words(self) -> dict[str, str]:
         """The word on each candidate: better, worse, mixed, equivalent, undecided or not evaluated."""
-        return {name: str(candidate.improvement) for name, candidate in self.report.filters.items()}
+        return {name: str(candidate.verdict) for name, candidate in self.report.filters.items()}
 
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:

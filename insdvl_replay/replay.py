@@ -10,13 +10,13 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import report_stage, return_freed_memory
-from insdvl_replay.core.tables import Candidate, Tables
+from insdvl_replay.core.tables import CandidateVerdict, Tables
 from insdvl_replay.evaluation.drift import jump_table
 from insdvl_replay.evaluation.evaluate import Curves, curves_of, tables_of_filters
 from insdvl_replay.evaluation.evidence import ReferenceNoise
 from insdvl_replay.evaluation.notes import constants_notes, reference_notes, settings_hints, update_notes
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
-from insdvl_replay.evaluation.verdicts import judged_candidates
+from insdvl_replay.evaluation.verdicts import evaluated_candidates
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, run_candidates
@@ -34,7 +34,7 @@ class Replay:
     histories: tuple[History, ...]  # the first is the baseline; recorded solutions follow the filters that were run
     errors: dict[str, ReferenceErrors]  # by filter; empty without a reference
     tables: Tables
-    verdicts: dict[str, Candidate]  # by candidate
+    verdicts: dict[str, CandidateVerdict]  # by candidate
     curves: Curves  # evidence that is drawn over time
     notes: tuple[Note, ...]  # what was dropped, assumed or found odd
 
@@ -108,7 +108,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     )
 
     # The verdict on each.
-    tables, verdicts = judged_candidates(histories, errors, tables, notes, independent=settings.independent)
+    tables, verdicts = evaluated_candidates(histories, errors, tables, notes, independent=settings.independent)
     notes += settings_hints(tables, baseline) + constants_notes(histories)
     histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)

@@ -10,7 +10,7 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.result import Report, build_report
 from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.core.tables import (
-    Candidate,
+    CandidateVerdict,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
@@ -98,7 +98,7 @@ def report(name: str = "dive", used: Tables | None = None) -> Report:
     )
     notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
     used = used or tables()
-    aided = Candidate(
+    aided = CandidateVerdict(
         "aided believes in smaller errors",
         "better",
         "consistent",

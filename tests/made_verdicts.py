@@ -6,7 +6,7 @@ from types import MappingProxyType
 from insdvl_replay.core.quantities import EVIDENCE_QUANTITIES, REFERENCE_QUANTITIES
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.tables import (
-    Candidate,
+    CandidateVerdict,
     ConsistencyRow,
     ConvergenceRow,
     CredibilityRow,
@@ -20,28 +20,28 @@ from insdvl_replay.evaluation.verdicts import verdicts
 
 def judged(
     words: Sequence[str],
-    believed_pct: float = 40.0,
+    predicted_pct: float = 40.0,
     ratio: tuple[float, float, float] = (0.8, 0.7, 0.9),
     of_aided: str = "consistent",
     of_baseline: str = "consistent",
     errors_of_aided: str = "consistent",
     errors_of_baseline: str = "consistent",
     unsound: Mapping[str, str] = MappingProxyType({}),
-    honesty: str = "equivalent",
+    consistency: str = "equivalent",
     independent: bool = True,
     kind: str = "accuracy",
     samples: int = 9,
     starts: int = 16,
-) -> Candidate:
+) -> CandidateVerdict:
     """Judge a candidate whose states all improved alike, by pieces of evidence that say these words."""
     row = "dive", "aided"
     pieces = [
         EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, starts, 60, word)
         for quantity, word in zip(EVIDENCE_QUANTITIES, words, strict=False)
     ]
-    pieces.append(EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, honesty))
+    pieces.append(EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, consistency))
     tables = Tables(
-        [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, believed_pct, "improved") for state in STATES],
+        [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, predicted_pct, "improved") for state in STATES],
         [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
         [
             ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, samples, "compared")

@@ -27,7 +27,7 @@ class Inputs(NamedTuple):
     velocity: Measurement
 
 
-class Belief(NamedTuple):
+class Prediction(NamedTuple):
     """What a filter believes."""
 
     position: Floats
@@ -48,31 +48,31 @@ def baseline_inputs(dive: Dive, config: Config) -> Inputs:
     return Inputs(timeline, prepared.alignment.start, baseline.noise_density, velocity)
 
 
-def run_plain_filter(inputs: Inputs) -> Belief:
+def run_plain_filter(inputs: Inputs) -> Prediction:
     """Run the filter over a time line; the DVL is at the IMU."""
     timeline, start, noise_density, velocity = inputs
-    belief = Belief(
+    prediction = Prediction(
         start.position, start.velocity_n, start.mat_nb, start.accel_bias_b, start.gyro_bias_b, start.cov.copy()
     )
     at = instants(timeline)
     for k in range(1, len(at.time_s)):
-        force_b = at.specific_force_b[k - 1 : k + 1].mean(axis=0) - belief.accel_bias_b
-        rate_b = at.angular_rate_b[k - 1 : k + 1].mean(axis=0) - belief.gyro_bias_b
-        belief = propagated(belief, force_b, rate_b, at.time_s[k] - at.time_s[k - 1], noise_density)
+        force_b = at.specific_force_b[k - 1 : k + 1].mean(axis=0) - prediction.accel_bias_b
+        rate_b = at.angular_rate_b[k - 1 : k + 1].mean(axis=0) - prediction.gyro_bias_b
+        prediction = propagated(prediction, force_b, rate_b, at.time_s[k] - at.time_s[k - 1], noise_density)
         if at.ping[k] >= 0:
-            belief = updated(belief, velocity.values[at.ping[k]], velocity.cov[at.ping[k]])
-    return belief
+            prediction = updated(prediction, velocity.values[at.ping[k]], velocity.cov[at.ping[k]])
+    return prediction
 
 
-def propagated(belief: Belief, force_b: Floats, rate_b: Floats, dt: float, noise_density: Floats) -> Belief:
-    (latitude, longitude, height_m), velocity = belief.position, belief.velocity_n
+def propagated(prediction: Prediction, force_b: Floats, rate_b: Floats, dt: float, noise_density: Floats) -> Prediction:
+    (latitude, longitude, height_m), velocity = prediction.position, prediction.velocity_n
     r_n, r_e = meridian_radius_m(latitude) + height_m, transverse_radius_m(latitude) + height_m
     w_ie = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
     w_in = w_ie + np.array([velocity[1] / r_e, -velocity[0] / r_n, -velocity[1] * np.tan(latitude) / r_e])
 
     frame_turn, body_turn = Rotation.from_rotvec(-w_in * dt), Rotation.from_rotvec(rate_b * dt)
-    mat_nb = frame_turn.as_matrix() @ belief.mat_nb @ body_turn.as_matrix()
-    force_n = 0.5 * (belief.mat_nb + mat_nb) @ force_b
+    mat_nb = frame_turn.as_matrix() @ prediction.mat_nb @ body_turn.as_matrix()
+    force_n = 0.5 * (prediction.mat_nb + mat_nb) @ force_b
     gravity_n = np.array([0.0, 0.0, normal_gravity(latitude, height_m)])
     velocity_n = velocity + dt * (force_n + gravity_n - np.cross(w_ie + w_in, velocity))
     north, east, down = 0.5 * dt * (velocity + velocity_n)
@@ -84,24 +84,24 @@ def propagated(belief: Belief, force_b: Floats, rate_b: Floats, dt: float, noise
     Phi[PHI, PHI] -= skew(w_in) * dt
     Phi[PHI, DV] -= np.array([[0.0, 1.0 / r_e, 0.0], [-1.0 / r_n, 0.0, 0.0], [0.0, -np.tan(latitude) / r_e, 0.0]]) * dt
     Phi[DV, BA] = Phi[PHI, BG] = mat_nb * dt
-    P = Phi @ belief.P @ Phi.T + np.diag(noise_density) * dt
-    return belief._replace(position=position, velocity_n=velocity_n, mat_nb=mat_nb, P=P)
+    P = Phi @ prediction.P @ Phi.T + np.diag(noise_density) * dt
+    return prediction._replace(position=position, velocity_n=velocity_n, mat_nb=mat_nb, P=P)
 
 
-def updated(belief: Belief, velocity_b: Floats, R: Floats) -> Belief:
+def updated(prediction: Prediction, velocity_b: Floats, R: Floats) -> Prediction:
     H = np.zeros((3, 12))
-    H[:, DV], H[:, PHI] = belief.mat_nb.T, belief.mat_nb.T @ skew(belief.velocity_n)
-    z = belief.mat_nb.T @ belief.velocity_n - velocity_b
-    K = belief.P @ H.T @ np.linalg.inv(H @ belief.P @ H.T + R)
+    H[:, DV], H[:, PHI] = prediction.mat_nb.T, prediction.mat_nb.T @ skew(prediction.velocity_n)
+    z = prediction.mat_nb.T @ prediction.velocity_n - velocity_b
+    K = prediction.P @ H.T @ np.linalg.inv(H @ prediction.P @ H.T + R)
     dx, A, T = K @ z, np.eye(12) - K @ H, np.eye(12)
-    turn_back, invariant_error = Rotation.from_rotvec(-dx[PHI]), dx[DV] + np.cross(belief.velocity_n, dx[PHI])
-    velocity_n = turn_back.apply(belief.velocity_n - invariant_error)
-    T[DV, PHI] = skew(belief.velocity_n - velocity_n)
-    return Belief(
-        belief.position,
+    turn_back, invariant_error = Rotation.from_rotvec(-dx[PHI]), dx[DV] + np.cross(prediction.velocity_n, dx[PHI])
+    velocity_n = turn_back.apply(prediction.velocity_n - invariant_error)
+    T[DV, PHI] = skew(prediction.velocity_n - velocity_n)
+    return Prediction(
+        prediction.position,
         velocity_n,
-        turn_back.as_matrix() @ belief.mat_nb,
-        belief.accel_bias_b + dx[BA],
-        belief.gyro_bias_b + dx[BG],
-        T @ (A @ belief.P @ A.T + K @ R @ K.T) @ T.T,
+        turn_back.as_matrix() @ prediction.mat_nb,
+        prediction.accel_bias_b + dx[BA],
+        prediction.gyro_bias_b + dx[BG],
+        T @ (A @ prediction.P @ A.T + K @ R @ K.T) @ T.T,
     )

@@ -54,7 +54,7 @@ class Processor:
         """What this numpy would choose here, and must not."""
         return {name for name in __cpu_dispatch__ if __cpu_features__[name]} - self.features
 
-    def obstacle(self) -> str:
+    def blocker(self) -> str:
         """Say why it cannot be emulated here; nothing if it can."""
         if platform.machine() not in ("x86_64", "AMD64"):
             return f"cannot emulate x86 processors on {platform.machine()}"
@@ -64,8 +64,8 @@ class Processor:
 
     def run(self, *commands: Sequence[str]) -> str:
         """Run command lines of the program on it, and give the digest of a motion that was computed there."""
-        if obstacle := self.obstacle():
-            pytest.skip(obstacle)
+        if blocker := self.blocker():
+            pytest.skip(blocker)
         done = subprocess.run(
             [sys.executable, str(WORK), " ".join(self.switched_off())],
             env=self.environment(),
@@ -88,8 +88,8 @@ PROCESSORS = {
 
 if __name__ == "__main__":
     for name, processor in PROCESSORS.items():
-        obstacle = processor.obstacle()
-        sys.stdout.write(f"--- {name} {obstacle}\n")
+        blocker = processor.blocker()
+        sys.stdout.write(f"--- {name} {blocker}\n")
         sys.stdout.flush()
-        if not obstacle:
+        if not blocker:
             subprocess.run([sys.executable, *sys.argv[1:]], env=processor.environment(), check=True)

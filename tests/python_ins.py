@@ -108,7 +108,7 @@ def turn_rate_b(dive: Dive) -> Floats:
 
 
 @dataclass(frozen=True)
-class Belief:
+class Prediction:
     """What a filter believes after its last ping. Without a state for the position nothing is said of its sd."""
 
     velocity_n: Floats
@@ -119,11 +119,11 @@ class Belief:
     position_sd: Floats
 
 
-def our_belief(history: History, last_ns: int) -> Belief:
+def our_belief(history: History, last_ns: int) -> Prediction:
     row = int(np.searchsorted(history.time_ns, last_ns))
     biases = np.concatenate([history.accel_bias_b[row], history.gyro_bias_b[row]])
     bias_sd = np.concatenate([history.sd[row, BA], history.sd[row, BG]])
-    return Belief(
+    return Prediction(
         history.velocity_n[row],
         history.mat_nb[row],
         biases,
@@ -160,7 +160,7 @@ def depths(dive: Dive, sd_m: float) -> Depth:
     return Depth(depth_m[depth_m.index > START_S], sd_m)
 
 
-def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 1e-3) -> Belief:
+def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 1e-3) -> Prediction:
     assert dive.reference is not None
     imu = pd.DataFrame(
         np.hstack([dive.imu.angular_rate_b, dive.imu.specific_force_b]),
@@ -185,7 +185,7 @@ def their_belief(dive: Dive, *measurements: Measurement, position_sd_m: float = 
     )
     last_s = measurements[0].data.index[-1]
     pva = result.trajectory.loc[last_s].to_numpy()
-    return Belief(
+    return Prediction(
         pva[3:6],
         mat_from_rph(pva[6:]),
         np.concatenate([result.accel.loc[last_s], result.gyro.loc[last_s]]),

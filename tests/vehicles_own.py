@@ -35,7 +35,7 @@ class Told:
     """
 
     time_ns: TimeNs
-    way_n: Floats
+    moved_n: Floats
     velocity_n: Floats
     attitude: Rotation
 
@@ -46,18 +46,18 @@ def truth_of(dive: Dive, every: int = 1) -> Told:
     assert reference is not None
     rows = slice(None, None, every)
     position = reference.position[rows]
-    way_n = north_east_down_m(position, np.broadcast_to(position[0], position.shape)) + np.array([7.0, -3.0, 2.0])
+    moved_n = north_east_down_m(position, np.broadcast_to(position[0], position.shape)) + np.array([7.0, -3.0, 2.0])
     return Told(
-        reference.time_ns[rows], way_n, reference.velocity_n[rows], Rotation.from_matrix(reference.mat_nb[rows])
+        reference.time_ns[rows], moved_n, reference.velocity_n[rows], Rotation.from_matrix(reference.mat_nb[rows])
     )
 
 
 def off(
-    told: Told, *, way_n: Floats | float = 0.0, velocity_n: Floats | float = 0.0, turn_n: Floats | None = None
+    told: Told, *, moved_n: Floats | float = 0.0, velocity_n: Floats | float = 0.0, turn_n: Floats | None = None
 ) -> Told:
     """Add errors, estimated minus true: metres, m/s, and a rotation vector in n."""
     turn = Rotation.identity() if turn_n is None else Rotation.from_rotvec(turn_n)
-    return Told(told.time_ns, told.way_n + way_n, told.velocity_n + velocity_n, turn * told.attitude)
+    return Told(told.time_ns, told.moved_n + moved_n, told.velocity_n + velocity_n, turn * told.attitude)
 
 
 def write_odometry(
@@ -69,7 +69,7 @@ def write_odometry(
     velocity_b = attitude.inv().apply(ENU_OF_NED.apply(told.velocity_n))
     columns: dict[str, Any] = {
         "child_frame_id": BASE_LINK,
-        **components("pose.pose.position", ENU_OF_NED.apply(told.way_n)),
+        **components("pose.pose.position", ENU_OF_NED.apply(told.moved_n)),
         **{f"pose.pose.orientation.{axis}": quat[:, i] for i, axis in enumerate("xyzw")},
         **components("twist.twist.linear", velocity_b),
         **{field: cov.reshape(len(quat), 36) for field, cov in (covariances or {}).items()},
@@ -87,7 +87,7 @@ def write_nav_solution(path: Path, motion: ReferenceColumns, topic: str = "/vehi
 
 def write_tum(path: Path, told: Told, east_north_up: bool = True) -> Path:
     """Write a TUM file: east-north-up as evo has it, or north-east-down and forward-starboard-down."""
-    ways, attitude = told.way_n, told.attitude
+    ways, attitude = told.moved_n, told.attitude
     if east_north_up:
         ways, attitude = ENU_OF_NED.apply(ways), ENU_OF_NED * attitude * FLU_OF_FRD
     rows = np.hstack([ways, attitude.as_quat()])

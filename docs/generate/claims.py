@@ -247,13 +247,13 @@ def observability_claims(study: Result) -> Iterator[Claim]:
 
 def sea_claims(dives: list[Replay]) -> Iterator[Claim]:
     """Check, on dives of the same vehicle, what is said to follow for the navigation."""
-    believed = [mean_over(replay, "improvement", "windowed") for replay in dives]
+    predicted = [mean_over(replay, "improvement", "windowed") for replay in dives]
     yield Claim(
         "sea experiments",
         "40 % smaller estimated errors where the vehicle turns",
-        f"other segments of the same day: {min(believed):.0f} % to {max(believed):.0f} %, median "
-        f"{float(np.median(believed)):.0f} %",
-        REPEATED if abs(float(np.median(believed)) - 40.0) <= 5.0 else NOT_REPEATED,
+        f"other segments of the same day: {min(predicted):.0f} % to {max(predicted):.0f} %, median "
+        f"{float(np.median(predicted)):.0f} %",
+        REPEATED if abs(float(np.median(predicted)) - 40.0) <= 5.0 else NOT_REPEATED,
     )
     errors = position_errors(dives)
     for name, how in (("windowed", "slope predicted"), ("published", "as printed")):

@@ -230,7 +230,7 @@ def claims_in_words(found: Findings) -> str:
     """What the paper says in words, in its order."""
     return markdown_table(
         ("where", "the paper says", "here", ""),
-        [(claim.place, claim.says, claim.found, claim.word) for claim in _claims(found)],
+        [(claim.place, claim.says, claim.found, claim.verdict) for claim in _claims(found)],
     )
 
 
@@ -270,8 +270,8 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
             percent(verdict.mean_improvement_pct),
             f"{errors['baseline']:.2f}",
             f"{errors[name]:.2f}",
-            verdict.improvement,
-            verdict.belief,
+            verdict.verdict,
+            verdict.prediction,
             verdict.consistency,
         )
 
@@ -305,7 +305,7 @@ def noise(found: Findings) -> str:
 def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
     numbers = row.ratio, row.low, row.high
     ratio = "{:.3g} [{:.3g}, {:.3g}]".format(*(finite(number) for number in numbers))
-    return name, label(row.quantity), ratio, f"{row.dives_won} of {row.dives}", f"{finite(row.p):.2g}", row.word
+    return name, label(row.quantity), ratio, f"{row.dives_won} of {row.dives}", f"{finite(row.p):.2g}", row.verdict
 
 
 def tuning(found: Findings) -> str:
@@ -323,7 +323,7 @@ def tuning(found: Findings) -> str:
 
 def _improvements(table: pd.DataFrame) -> tuple[str, ...]:
     rows = table[(table["filter"] == "aided") & table["state"].isin([state.id for state in NINE])]
-    return tuple(percent(rows[f"{kind}_improvement_pct"].mean()) for kind in ("believed", "true"))
+    return tuple(percent(rows[f"{kind}_improvement_pct"].mean()) for kind in ("predicted", "true"))
 
 
 def _nees(table: pd.DataFrame) -> tuple[str, ...]:
@@ -358,7 +358,7 @@ def geometry(found: Findings) -> str:
 
 def _worse(dives: list[Replay], name: str) -> str:
     verdicts = [replay.verdicts[name] for replay in dives if name in replay.verdicts]
-    return f"{sum(verdict.improvement == 'worse' for verdict in verdicts)} of {len(verdicts)}"
+    return f"{sum(verdict.verdict == 'worse' for verdict in verdicts)} of {len(verdicts)}"
 
 
 def percent(value: float) -> str:

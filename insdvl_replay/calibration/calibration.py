@@ -12,7 +12,6 @@ from insdvl_replay.calibration.certainty import (
     SEEN,
     Certainty,
     autocorrelation,
-    beside_imu_errors,
     certainty_of,
     correlations,
     effects_of_errors,
@@ -22,6 +21,7 @@ from insdvl_replay.calibration.certainty import (
     own_delays,
     pulled,
     seen_by_motion,
+    with_estimated_imu_errors,
 )
 from insdvl_replay.calibration.fit import DELAY_STEP_S, Fit, fit, scatter_of
 from insdvl_replay.calibration.innovations import (
@@ -110,7 +110,7 @@ class Calibration:
     change: Floats  # (8,): what is proposed, zero where nothing is
     rows: tuple[ParameterRow, ...]
     dives: tuple[DiveRow, ...]
-    doubts: tuple[str, ...]  # what speaks against believing it
+    warnings: tuple[str, ...]  # what speaks against believing it
     fit: Fit  # of all that was asked for, with what is then held
     noise: FittedNoise  # what is proposed of the sensors
     noise_rows: tuple[NoiseRow, ...]
@@ -168,7 +168,7 @@ def calibrate(
     noise_shares = noise_share(settled, dives)
     found = seen_by_motion(settled, dives, noise_shares)
     effects = effects_of_errors(found, dives)
-    beside = beside_imu_errors(found, effects)
+    beside = with_estimated_imu_errors(found, effects)
     certainty = certainty_of(found, beside, pulled(beside, effects))
     refused = dict(_refused(certainty, mean_change(found), asked, noise_shares.min(axis=0)))
     free = asked & ~np.isin(np.arange(len(NAMES)), list(refused))
@@ -191,9 +191,11 @@ def calibrate(
         scatters = [scatter_of(dive.residuals(free * tried)) for tried in (NO_CHANGE, found.change(i))]
         axes = np.concatenate([*scatters, autocorrelation(near)]).tolist()
         dive_rows.append(DiveRow(dive.name, dive.count, dive.left_out, *delay, *axes))
-    doubts = tuple(_warnings(found, certainty, free, dive_rows, noise_rows))
+    warnings = tuple(_warnings(found, certainty, free, dive_rows, noise_rows))
     before = Geometry.of(config.dvl)
-    return Calibration(before, before.changed(change), change, rows, tuple(dive_rows), doubts, found, noise, noise_rows)
+    return Calibration(
+        before, before.changed(change), change, rows, tuple(dive_rows), warnings, found, noise, noise_rows
+    )
 
 
 def _is_wild(scale: float) -> bool:
@@ -210,11 +212,14 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Fl
         elif seen < LEAST_SEEN.get(parameter.group, SEEN):
             yield row, (Estimated.HELD, SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
-            yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
+            yield row, (Estimated.IMPLAUSIBLE, "at the edge of what is looked at: are the clocks the same?")
         elif row == SCALE and _is_wild(change[row]):
-            yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: does the DVL smooth, or the stamps jitter?")
+            yield (
+                row,
+                (Estimated.IMPLAUSIBLE, "no sound of speed is so wrong: does the DVL smooth, or the stamps jitter?"),
+            )
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
-            yield row, (Estimated.DOUBTFUL, "too far from the configuration: are the axes right?")
+            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration: are the axes right?")
 
 
 def parameter_rows(
@@ -232,7 +237,7 @@ def parameter_rows(
             yield ParameterRow(parameter.name, parameter.unit, status=Estimated.NOT_ASKED)
             continue
         status, why = refused.get(row, (Estimated.ESTIMATED, parameter.shown_by))
-        change = {Estimated.HELD: 0.0, Estimated.DOUBTFUL: found[row]}.get(status, proposed[row])
+        change = {Estimated.HELD: 0.0, Estimated.IMPLAUSIBLE: found[row]}.get(status, proposed[row])
         in_units = parameter.shown_as * np.array([change, *sds[:, row]])
         numbers = map(finite_or_none, [*in_units, certainty.signal_to_noise[row], certainty.birge[row]])
         shown, formal, correlated, between, beams, imu, sd, signal, birge = numbers
@@ -272,7 +277,7 @@ def _warnings(
                     "or is less noisy along this axis than along others"
                 )
     for found_noise in noise:
-        if found_noise.status == Estimated.DOUBTFUL:
+        if found_noise.status == Estimated.IMPLAUSIBLE:
             sensors = CLASSES[found_noise.parameter].name
             yield (
                 f"{found_noise.parameter}: {found_noise.why}: vibration, stamps that jitter, or what is left of "

@@ -286,7 +286,7 @@ def _with_errors(dive: DiveInnovations) -> Iterator[DiveInnovations]:
             yield replace(dive, dive=replace(dive.dive, imu=replace(imu, **{name: readings})))
 
 
-def beside_imu_errors(fit: Fit, effects: Sequence[Floats]) -> Fit:
+def with_estimated_imu_errors(fit: Fit, effects: Sequence[Floats]) -> Fit:
     """Return the fit with derivatives that are left when the errors of the IMU are estimated beside the geometry.
 
     Its step leads to the answer that such an estimate would give: it is not taken, since innovations that are

@@ -219,7 +219,7 @@ def determined_noise(
         if any(getattr(own, name) is not None for name in ((key,) if key in INERTIAL else DVL)):
             statuses[key] = Estimated.HELD, OWN_NOISE
         elif impossible[key]:
-            statuses[key] = Estimated.DOUBTFUL, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
+            statuses[key] = Estimated.IMPLAUSIBLE, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
         elif any_impossible or not sds[key] < UNSURE or (drowned and key in INERTIAL):
             statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
     # Level what is proposed, beside the others as they are configured.

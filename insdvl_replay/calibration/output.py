@@ -50,7 +50,7 @@ from insdvl_replay.show.document import counted, number, table_of
 from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
-_KEPT: Final = {Estimated.HELD: "held; ", Estimated.DOUBTFUL: "not proposed; "}
+_KEPT: Final = {Estimated.HELD: "held; ", Estimated.IMPLAUSIBLE: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
 
@@ -60,8 +60,8 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
     names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
     nothing = "Nothing could be estimated: these dives hold no manoeuvre that would show it."
     headline = f"Estimated: {', '.join(names)}." if is_found else nothing
-    callout = Callout(headline, "good" if found.estimated and not found.doubts else "bad")
-    reasons = [*_reasons(found), *map(Remark, found.doubts)]
+    callout = Callout(headline, "good" if found.estimated and not found.warnings else "bad")
+    reasons = [*_reasons(found), *map(Remark, found.warnings)]
     title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
     parts: list[Part] = [Title(title), callout]
     parts += [f"The mounting was not known: {found.tried}."] if found.tried else []
@@ -78,7 +78,7 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
         "reference": reference.dives if reference else (),
         "starts": reference.starts if reference else (),
     }
-    facts: dict[str, Any] = {"before": {"dvl": found.before}, "after": {"dvl": found.after}, "doubts": found.doubts}
+    facts: dict[str, Any] = {"before": {"dvl": found.before}, "after": {"dvl": found.after}, "warnings": found.warnings}
     if reference:
         for name, settings in (("before", reference.before), ("after", reference.after)):
             facts[name]["reference"] = {
@@ -208,7 +208,7 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
 def _change(row: ParameterRow) -> str:
     if row.status == Estimated.HELD or row.change is None:
         return Estimated.HELD
-    sign, mark = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.DOUBTFUL else ""
+    sign, mark = "-" if row.change < 0.0 else "+", "?" if row.status == Estimated.IMPLAUSIBLE else ""
     return f"{sign}{number(abs(row.change))}{mark}"
 
 
@@ -248,7 +248,7 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
             for start in reference.starts
         ]
         lines += [f"heading_deg = {toml_value(FIT)}"] if reference.starts else []
-    return "\n".join([*lines, *(f"# doubt: {visible(doubt)}" for doubt in found.doubts)]) + "\n"
+    return "\n".join([*lines, *(f"# doubt: {visible(warning)}" for warning in found.warnings)]) + "\n"
 
 
 def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geometry) -> Iterator[str]:
@@ -271,7 +271,7 @@ def _comment(row: ParameterRow) -> str:
             return f"{row.parameter}: not asked"
         case Estimated.HELD | Estimated.NOT_DETERMINED:
             return f"{row.parameter}: as it was; {row.why}"
-        case Estimated.DOUBTFUL:
+        case Estimated.IMPLAUSIBLE:
             return f"{row.parameter}: {row.change:+.4g} {row.unit} was found and is not proposed: {row.why}"
         case Estimated.ESTIMATED:
             sure = f"sd {row.sd:.2g} {row.unit}, signal to noise {row.signal_to_noise:.0f}"
@@ -284,7 +284,7 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
         sd = "" if row.sd is None else f", sd {row.sd:.2g} {row.unit}"
         known_class = f", class {row.sensor_class}" if row.sensor_class else ""
         yield f"# the innovations are likeliest with it{sd}; {before}{known_class}"
-    elif row.status in (Estimated.NOT_DETERMINED, Estimated.DOUBTFUL):
+    elif row.status in (Estimated.NOT_DETERMINED, Estimated.IMPLAUSIBLE):
         yield f"# {row.parameter}: {row.why}; {before}"
     if row.is_proposed:
         yield f"{row.parameter} = {toml_value(row.after)}"

@@ -165,9 +165,9 @@ class ReferenceDive:
                 np.column_stack(north_east_m(position[ends], origin, origin))
                 for position in (history.position[ours], theirs.position)
             )
-            way_m, at_s = np.diff(ours_m, axis=0), (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
-            by_heading = np.column_stack([-way_m[:, 1], way_m[:, 0], np.zeros(len(way_m))])
-            apart = np.column_stack([way_m - np.diff(theirs_m, axis=0), np.full(len(way_m), np.nan)])
+            moved_m, at_s = np.diff(ours_m, axis=0), (time_s[ends[1:]] + time_s[ends[:-1]]) / 2.0
+            by_heading = np.column_stack([-moved_m[:, 1], moved_m[:, 0], np.zeros(len(moved_m))])
+            apart = np.column_stack([moved_m - np.diff(theirs_m, axis=0), np.full(len(moved_m), np.nan)])
             if theirs.has_attitude:
                 off = vector_from_mat(mat_nb[ends] @ np.swapaxes(theirs.mat_nb[ends], 1, 2))[:, 2]
                 apart -= ((off[1:] + off[:-1]) / 2.0)[:, None] * by_heading
@@ -396,7 +396,7 @@ def with_reference(
             dvl_rows[row] = msgspec.structs.replace(rows[row], why=WAY)
             change[row] = proposed[row]
     after = found.before.changed(change)
-    doubts = _warnings(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
+    warnings = _warnings(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
     # The headings at the start that only positions tell, with the DVL as it is proposed.
     starts = []
     for read in reads:
@@ -412,7 +412,7 @@ def with_reference(
         rows=tuple(dvl_rows),
         change=change,
         after=after,
-        doubts=(*found.doubts, *doubts),
+        warnings=(*found.warnings, *warnings),
         reference=reference,
     )
 
@@ -424,13 +424,13 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
             continue
         # First of all: at the edge what is left is no noise, and no sd right.
         if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - parameter.step:
-            yield row, (Estimated.DOUBTFUL, "at the edge of what is looked at: are the clocks the same?")
+            yield row, (Estimated.IMPLAUSIBLE, "at the edge of what is looked at: are the clocks the same?")
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == SCALE and abs(np.expm1(change[row])) > PLAUSIBLE_SCALE:
-            yield row, (Estimated.DOUBTFUL, "no sound of speed is so wrong: is the reference's velocity in m/s?")
+            yield row, (Estimated.IMPLAUSIBLE, "no sound of speed is so wrong: is the reference's velocity in m/s?")
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
-            yield row, (Estimated.DOUBTFUL, "too far from the configuration: are axes and clocks the same?")
+            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration: are axes and clocks the same?")
 
 
 def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:

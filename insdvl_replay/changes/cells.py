@@ -14,7 +14,7 @@ from insdvl_replay.core.errors import ResultError
 from insdvl_replay.core.quantities import CONSISTENT
 from insdvl_replay.core.result import Cell, Row, StoredReport, StoredResult
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, Better, Number, TableLayout
-from insdvl_replay.core.words import ChangeWord
+from insdvl_replay.core.words import ChangeVerdict
 from insdvl_replay.show.document import FORMS, MISSING
 
 PRINTED_DIGITS: Final = 4
@@ -23,7 +23,7 @@ ROUNDING: Final = 1e-9
 """Share of a number that another processor, or binary fractions, may add: 0.3 - 0.2 is not more than 0.1."""
 NAMES: Final = frozenset(("log", "filter", "unit"))
 """Columns that name a row, with its key."""
-SENTENCES: Final = frozenset((("filters", "verdict"),))
+SENTENCES: Final = frozenset((("filters", "sentence"),))
 """Cells that say in words what others say in numbers."""
 
 
@@ -40,13 +40,13 @@ class Change(Struct, frozen=True):
     new: Cell
     change: Number  # new minus old
     change_pct: Number  # of the size; in percentage points where it is a percentage
-    word: ChangeWord
+    verdict: ChangeVerdict
 
     @property
     def growth(self) -> str:
         """By how much the size grew, with the unit; the word where there is no percentage."""
         if self.change_pct is None:
-            return self.word
+            return self.verdict
         return f"{FORMS['signed_percent'](self.change_pct)} {'points' if self.column.endswith(PERCENTAGE) else '%'}"
 
     @property
@@ -60,7 +60,7 @@ class Moved(NamedTuple):
 
     change: float | None
     change_pct: float | None
-    word: ChangeWord
+    verdict: ChangeVerdict
     better: Better | None = None
 
 
@@ -101,8 +101,8 @@ def judge_number(
 ) -> Moved:
     """Judge what became of a number. Without a tolerance the same is what prints alike; of two the larger counts."""
     if old is None or new is None:
-        word = ChangeWord.WORSE if new is None else ChangeWord.BETTER
-        return Moved(None, None, ChangeWord.SAME if old is new else word, better)
+        word = ChangeVerdict.WORSE if new is None else ChangeVerdict.BETTER
+        return Moved(None, None, ChangeVerdict.SAME if old is new else word, better)
     before, after = (_size(value, better, dof) for value, dof in zip((old, new), dofs, strict=True))
     digits, digits_pct = _rounding(before, after, column), 100.0 * ROUNDING
     change_pct: float | None = None  # from zero, and from or to an infinite size
@@ -120,7 +120,7 @@ def judge_number(
     if tolerance_abs is not None:
         alike |= within(abs(after - before), tolerance_abs, digits)
     is_better = (after > before) == (better == "higher")
-    word = ChangeWord.SAME if alike else ChangeWord.BETTER if is_better else ChangeWord.WORSE
+    word = ChangeVerdict.SAME if alike else ChangeVerdict.BETTER if is_better else ChangeVerdict.WORSE
     return Moved(new - old, change_pct, word, better)
 
 
@@ -132,13 +132,13 @@ def _size(value: float, better: Better, dof: float) -> float:
     return abs(value) if better == "nearer zero" else value
 
 
-def rank_word(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeWord:
+def rank_verdict(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeVerdict:
     """State what became of a word: better or worse if both words have a rank, else whether it changed."""
     if old == new:
-        return ChangeWord.SAME
+        return ChangeVerdict.SAME
     if old not in best_first or new not in best_first:
-        return ChangeWord.CHANGED
-    return ChangeWord.WORSE if best_first.index(str(new)) > best_first.index(str(old)) else ChangeWord.BETTER
+        return ChangeVerdict.CHANGED
+    return ChangeVerdict.WORSE if best_first.index(str(new)) > best_first.index(str(old)) else ChangeVerdict.BETTER
 
 
 def judge_cell(
@@ -161,9 +161,9 @@ def judge_cell(
             was, is_, column, better, dofs=dofs, tolerance_pct=tolerance_pct, tolerance_abs=tolerance_abs
         )
     if not (isinstance(was, int | float) and isinstance(is_, int | float)):
-        return Moved(None, None, rank_word(was, is_, layout.words.get(column, ())))
+        return Moved(None, None, rank_verdict(was, is_, layout.words.get(column, ())))
     same = better is None and isinstance(was, float) and isinstance(is_, float) and agree(was, is_, column)
-    word = ChangeWord.SAME if same else rank_word(was, is_, layout.words.get(column, ()))
+    word = ChangeVerdict.SAME if same else rank_verdict(was, is_, layout.words.get(column, ()))
     return Moved(float(is_) - float(was), None, word)
 
 
@@ -205,10 +205,10 @@ def changes_of(
             for column in dict.fromkeys((*after, *before)):
                 if column in skipped:
                     continue
-                moved = Moved(None, None, ChangeWord.NEW if column in after else ChangeWord.GONE)
+                moved = Moved(None, None, ChangeVerdict.NEW if column in after else ChangeVerdict.GONE)
                 if column in before and column in after:
                     moved = judge_cell(before, after, column, layout, tolerance_pct)
-                if moved.word != ChangeWord.SAME or column in layout.better or column in layout.words:
+                if moved.verdict != ChangeVerdict.SAME or column in layout.better or column in layout.words:
                     filter_, row, unit = name
                     place = new.name, layout.name, filter_, row, layout.unit_of(column, unit), column
                     yield Change(*place, before.get(column), after.get(column), *moved[:3])

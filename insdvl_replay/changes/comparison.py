@@ -34,21 +34,24 @@ from insdvl_replay.core.result import (
     flattened,
 )
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, RATIO, Number, TableLayout
-from insdvl_replay.core.words import ChangeWord, MatchedBy, Severity
+from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.document import FORMS, MISSING, Column, counted, table_of
 
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 """What may differ beside the tables, in the order of what a reader asks first."""
 ALIKE: Final = "tool, settings and log do not differ"
-MOST_BESIDE: Final = 12  # so many values that moved beside the evidence are shown in brief
+MOST_OTHERS: Final = 12  # so many values that moved beside the evidence are shown in brief
 _MOST_DIFFERENCES: Final = 8
 _NAMED_DIVES: Final = 2
 _HASH_DIGITS: Final = 12
 _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 """Columns that a reader looks at first, and words with a rank, which sum up numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
-_CHANGED_WORDS: Final = {"improvement": "{} is now {}, was {}", "belief": "what {} believes is now {}, was {}"}
+_CHANGED_WORDS: Final = {
+    "verdict": "{} is now {}, was {}",
+    "prediction": "the predicted improvement of {} is now {}, was {}",
+}
 """By column of the candidates what is said where its word changed."""
 _OFF_ONE: Final = ("nis", "nees")
 """Rows of the evidence that are better the nearer they are to 1, which their ratio is of."""
@@ -68,14 +71,14 @@ class Difference(Struct, frozen=True):
 class Tally(Struct, frozen=True):
     """What became of many cells: how many by word, and the largest loss and gain, primary columns first."""
 
-    counts: dict[ChangeWord, int]
+    counts: dict[ChangeVerdict, int]
     worst: Change | None
     best: Change | None
 
     @property
     def moved(self) -> int:
         """How many are not the same."""
-        return sum(self.counts.values()) - self.counts[ChangeWord.SAME]
+        return sum(self.counts.values()) - self.counts[ChangeVerdict.SAME]
 
 
 class DiveComparison(Struct, frozen=True):
@@ -88,9 +91,9 @@ class DiveComparison(Struct, frozen=True):
     tally: Tally | None
 
     @property
-    def only_side(self) -> ChangeWord:
+    def only_side(self) -> ChangeVerdict:
         """What a dive without counterpart is."""
-        return ChangeWord.GONE if self.new is None else ChangeWord.NEW
+        return ChangeVerdict.GONE if self.new is None else ChangeVerdict.NEW
 
 
 class Aggregate(Struct, frozen=True):
@@ -109,7 +112,7 @@ class Aggregate(Struct, frozen=True):
     median_change_pct: Number  # None if no dive has one
     worst_log: str
     worst_change_pct: Number  # None where the number was lost, or grew from zero
-    worst_word: ChangeWord
+    worst_word: ChangeVerdict
 
 
 class Comparison(Struct, frozen=True):
@@ -307,7 +310,7 @@ def _notes_on_filters(pairs: _Pairs) -> Iterator[Note]:
         )
     gone = Counter(name for old, new in names for name in old - new)
     added = Counter(name for old, new in names for name in new - old)
-    for side, word, counts in (("old", ChangeWord.GONE, gone), ("new", ChangeWord.NEW, added)):
+    for side, word, counts in (("old", ChangeVerdict.GONE, gone), ("new", ChangeVerdict.NEW, added)):
         for name, count in sorted(counts.items()):
             text = f"filter {name} is in the {side} results alone (dives: {count}); its rows are {word}"
             hint = "--pair OLD=NEW compares filters of different names"
@@ -373,10 +376,10 @@ def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
 
 def loss_of(change: Change) -> float:
     """State how much a cell lost, in percent; infinite for a number that was lost."""
-    if change.word not in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.GONE}:
+    if change.verdict not in {ChangeVerdict.BETTER, ChangeVerdict.WORSE, ChangeVerdict.GONE}:
         return 0.0
     amount = math.inf if change.change_pct is None else abs(change.change_pct)
-    return -amount if change.word == ChangeWord.BETTER else amount
+    return -amount if change.verdict == ChangeVerdict.BETTER else amount
 
 
 def _most(changes: Iterable[Change], sign: float) -> Change | None:
@@ -389,29 +392,29 @@ def _most(changes: Iterable[Change], sign: float) -> Change | None:
 
 def tally(changes: Sequence[Change]) -> Tally:
     """Count cells by word, and name the largest loss and gain."""
-    counts = Counter(change.word for change in changes)
-    return Tally({word: counts[word] for word in ChangeWord}, _most(changes, 1.0), _most(changes, -1.0))
+    counts = Counter(change.verdict for change in changes)
+    return Tally({word: counts[word] for word in ChangeVerdict}, _most(changes, 1.0), _most(changes, -1.0))
 
 
 def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
     """Gather the changes of each cell over the dives that have it on both sides: shares, median, and the worst."""
     cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
     for change in changes:
-        if change.word in {ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.SAME}:
+        if change.verdict in {ChangeVerdict.BETTER, ChangeVerdict.WORSE, ChangeVerdict.SAME}:
             key = change.table, change.filter, change.row, change.unit, change.column
             cells.setdefault(key, []).append(change)
     found = []
     for key, together in cells.items():
-        counts, worst = Counter(change.word for change in together), max(together, key=loss_of)
+        counts, worst = Counter(change.verdict for change in together), max(together, key=loss_of)
         percentages = [change.change_pct for change in together if change.change_pct is not None]
-        better, worse, same = (counts[word] for word in (ChangeWord.BETTER, ChangeWord.WORSE, ChangeWord.SAME))
+        better, worse, same = (counts[word] for word in (ChangeVerdict.BETTER, ChangeVerdict.WORSE, ChangeVerdict.SAME))
         found.append(
             Aggregate(
                 *key,
                 len(together),
                 *(better, worse, same, 100.0 * better / len(together)),
                 median(percentages) if percentages else None,
-                *(worst.log, worst.change_pct, worst.word),
+                *(worst.log, worst.change_pct, worst.verdict),
             )
         )
     return tuple(sorted(found, key=lambda cell: _ORDER[cell.table]))
@@ -421,7 +424,7 @@ def only_changed(comparison: Comparison) -> Comparison:
     """Leave out what is the same, and of the aggregates what is the same in all dives; counts stay those of all."""
     return replace(
         comparison,
-        changes=tuple(change for change in comparison.changes if change.word != ChangeWord.SAME),
+        changes=tuple(change for change in comparison.changes if change.verdict != ChangeVerdict.SAME),
         aggregates=tuple(cell for cell in comparison.aggregates if cell.same < cell.dives),
     )
 
@@ -456,7 +459,7 @@ def find_violation(comparison: Comparison, above_pct: float) -> str:
 def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
     """Return a comparison with what is shown of it."""
     dives = [
-        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeWord))
+        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeVerdict))
         for dive in comparison.dives
     ]
     return Result(
@@ -464,7 +467,7 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
         title=_title(comparison),
         tables={
             "difference": Block.of(Difference, comparison.differences),
-            "dive": Block(("log", "old", "new", "matched_by", *ChangeWord), dives),
+            "dive": Block(("log", "old", "new", "matched_by", *ChangeVerdict), dives),
             "aggregate": Block.of(Aggregate, comparison.aggregates),
             "change": Block.of(Change, comparison.changes),
         },
@@ -477,15 +480,15 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
 
 def brief_document(comparison: Comparison) -> list[Part]:
     """Lay out what changed: verdicts, what differs beside the tables, and the evidence that moved."""
-    moved = [change for change in comparison.changes if change.word != ChangeWord.SAME]
+    moved = [change for change in comparison.changes if change.verdict != ChangeVerdict.SAME]
     tables = list(_evidence_that_moved(comparison))
-    if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_BESIDE:
+    if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_OTHERS:
         tables = [_values(moved)]
     apart = tuple(f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None)
     verdicts = _changed_verdicts(comparison)
     elsewhere = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
     found = f"values that moved, by table: {', '.join(elsewhere)}" if elsewhere else "no value moved"
-    same = counted(comparison.total.counts[ChangeWord.SAME], "value")
+    same = counted(comparison.total.counts[ChangeVerdict.SAME], "value")
     return [
         Title(_title(comparison)),
         *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
@@ -520,9 +523,9 @@ def comparison_document(comparison: Comparison) -> list[Part]:
 def opening_lines(comparison: Comparison) -> list[str]:
     """State which verdicts changed, how many values moved, and which of them most."""
     counts = comparison.total.counts
-    words = ", ".join(f"{counts[word]} {word}" for word in ChangeWord if counts[word] and word != ChangeWord.SAME)
+    words = ", ".join(f"{counts[word]} {word}" for word in ChangeVerdict if counts[word] and word != ChangeVerdict.SAME)
     limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
-    same = f"{counts[ChangeWord.SAME]} of {sum(counts.values())} values are the same up to {limit}"
+    same = f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
     extremes = (("worst", comparison.total.worst), ("best", comparison.total.best))
     return [
         *_changed_verdicts(comparison),
@@ -641,7 +644,7 @@ def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
         *((key, "r", key) for key in ("dives", "better", "worse")),
         ("median\n[%]", "r", "median_change_pct:signed_percent"),
         ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
-        ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeWord.SAME else cell.worst_log),
+        ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeVerdict.SAME else cell.worst_log),
     )
     return table_of("Values over the dives", cells, columns)
 
@@ -665,7 +668,7 @@ def _differences_table(comparison: Comparison) -> DisplayTable:
 
 def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]], footnote: str = "") -> DisplayTable:
     """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
-    words = [word for word in ChangeWord if any(found is not None and found.counts[word] for _, found, _ in named)]
+    words = [word for word in ChangeVerdict if any(found is not None and found.counts[word] for _, found, _ in named)]
     rows = []
     for name, found, otherwise in named:
         if found is None:

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from msgspec import Meta, Struct
 
 from insdvl_replay.changes.gate_file import TRAJECTORY
-from insdvl_replay.changes.gates import EVERY_DIVE, CheckResult, Finding, Judgement
+from insdvl_replay.changes.gates import EVERY_DIVE, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.result import DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.tables import PERCENTAGE
@@ -41,7 +41,7 @@ class CheckReport(Struct, frozen=True):
     warning: int
     off: int
     passed: int
-    judgements: Annotated[tuple[Judgement, ...], Meta(description="failures first")]
+    outcomes: Annotated[tuple[GateOutcome, ...], Meta(description="failures first")]
 
 
 def in_format(found: CheckResult, format_: str) -> str:
@@ -65,7 +65,7 @@ def check_result(found: CheckResult) -> Result:
         rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
         parts.append(DisplayTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))
     moved = []
-    for item in found.judgements:
+    for item in found.outcomes:
         for cell in item.findings:
             was, now, unit = _values(cell)
             if cell.was is not None and was != now:
@@ -79,21 +79,21 @@ def check_result(found: CheckResult) -> Result:
         parts.append(DisplayTable("Before and after", header, "llrrrl", tuple(moved[:MOST_MOVED]), more))
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
-    report = CheckReport(this_tool(), found.gates, **counts, judgements=found.judgements)
+    report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
     return Result("check", "Gates", document=parts, data=report)
 
 
 def check_sentence(found: CheckResult) -> str:
     """Count what became of the gates, in one sentence."""
-    dives = len({item.dive for item in found.judgements} - {EVERY_DIVE})
-    gates = len({item.gate for item in found.judgements})
+    dives = len({item.dive for item in found.outcomes} - {EVERY_DIVE})
+    gates = len({item.gate for item in found.outcomes})
     counts = ", ".join(f"{count} {word}" for status, (_, word, _) in WORDS.items() if (count := found.count(status)))
     return f"{counted(gates, 'gate')} on {counted(dives, 'dive') if dives else 'all dives together'}: {counts}"
 
 
 def _counts(found: CheckResult) -> list[str]:
     """Count the dives whose trajectory changed, where a gate holds one against its baseline, and then the gates."""
-    held = [item for item in found.judgements if item.is_trajectory]
+    held = [item for item in found.outcomes if item.is_trajectory]
     errors = {item.dive for item in held if item.status == GateStatus.UNUSABLE or not item.findings}
     changed = {item.dive for item in held if not all(finding.passed for finding in item.findings)} - errors
     unchanged = {item.dive for item in held} - errors - changed
@@ -111,14 +111,14 @@ def check_text(found: CheckResult) -> str:
     return "".join(f"{visible(line)}\n" for line in (*lines, "", *_counts(found)))
 
 
-def _missed(found: CheckResult) -> list[Judgement]:
-    return [item for item in found.judgements if item.status in (*_ERRORS, GateStatus.WARNING)]
+def _missed(found: CheckResult) -> list[GateOutcome]:
+    return [item for item in found.outcomes if item.status in (*_ERRORS, GateStatus.WARNING)]
 
 
 def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
     """State for each gate on how many dives it was passed."""
-    for name in dict.fromkeys(item.gate for item in found.judgements):
-        own = [item for item in found.judgements if item.gate == name]
+    for name in dict.fromkeys(item.gate for item in found.outcomes):
+        own = [item for item in found.outcomes if item.gate == name]
         text = f"passed by {sum(item.status == GateStatus.PASSED for item in own)} of {counted(len(own), 'dive')}"
         if own[0].dive == EVERY_DIVE:
             text = f"{WORDS[own[0].status][0]}, all dives together"
@@ -130,14 +130,14 @@ def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
 def junit_xml(found: CheckResult) -> str:
     """Write JUnit XML."""
 
-    def counts(judgements: Sequence[Judgement]) -> dict[str, str]:
-        statuses = Counter(item.status for item in judgements)
+    def counts(outcomes: Sequence[GateOutcome]) -> dict[str, str]:
+        statuses = Counter(item.status for item in outcomes)
         failed, unusable = (str(statuses[status]) for status in (GateStatus.FAILED, GateStatus.UNUSABLE))
-        return {"tests": str(len(judgements)), "failures": failed, "errors": unusable}
+        return {"tests": str(len(outcomes)), "failures": failed, "errors": unusable}
 
-    root = ElementTree.Element("testsuites", {"name": _clean(found.gates), **counts(found.judgements)})
-    for dive in dict.fromkeys(item.dive for item in found.judgements):
-        own = [item for item in found.judgements if item.dive == dive]
+    root = ElementTree.Element("testsuites", {"name": _clean(found.gates), **counts(found.outcomes)})
+    for dive in dict.fromkeys(item.dive for item in found.outcomes):
+        own = [item for item in found.outcomes if item.dive == dive]
         skipped = str(sum(WORDS[item.status][2] == "skipped" for item in own))
         attributes = {"name": _clean(dive), **counts(own), "skipped": skipped}
         suite = ElementTree.SubElement(root, "testsuite", attributes)
@@ -172,7 +172,7 @@ def github_annotations(found: CheckResult) -> str:
 
     lines = list[str]()
     for level, statuses in (("error", _ERRORS), ("warning", (GateStatus.WARNING,))):
-        missed = [item for item in found.judgements if item.status in statuses]
+        missed = [item for item in found.outcomes if item.status in statuses]
         listed = missed if len(missed) <= MOST_ANNOTATIONS else missed[: MOST_ANNOTATIONS - 1]
         for item in listed:
             message = "\n".join(map(visible, item.reasons))

@@ -22,8 +22,7 @@ from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looke
 from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport, as_json
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, EvidenceRow, TableLayout
-from insdvl_replay.core.words import ChangeWord, GateLevel, GateStatus, ReferenceStatus
-from insdvl_replay.core.words import Judgement as Word
+from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus, Verdict
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
 from insdvl_replay.results.stored_results import read_results
 
@@ -36,8 +35,8 @@ SAME: Final = 1e-9  # share of the largest value of a group in which samples may
 # Cells beside those that can be better or worse, and those of filters by themselves, that are of gain or loss.
 OF_GAIN: Final = frozenset(
     (
-        ("filters", "belief"),
-        ("evidence", "word"),
+        ("filters", "prediction"),
+        ("evidence", "verdict"),
         *(("outage", column) for column in ("ratio_to_baseline", "ratio_low", "ratio_high", "windows_won_pct")),
     )
 )
@@ -58,7 +57,7 @@ class Finding(Struct, frozen=True):
     allowed: str = ""  # by how much it may be worse than the baseline's
 
 
-class Judgement(Struct, frozen=True):
+class GateOutcome(Struct, frozen=True):
     """What became of one gate on one dive."""
 
     dive: str
@@ -74,12 +73,12 @@ class CheckResult(Struct, frozen=True):
     """What became of all gates on all dives."""
 
     gates: str  # the gate file
-    judgements: tuple[Judgement, ...]  # failures first, then in the order of dives and gates
+    outcomes: tuple[GateOutcome, ...]  # failures first, then in the order of dives and gates
     words: dict[str, dict[str, int]] = {}  # by filter, on how many dives each word is said of it
 
     def count(self, status: GateStatus) -> int:
-        """Count the judgements of a status."""
-        return sum(judgement.status == status for judgement in self.judgements)
+        """Count the outcomes of a status."""
+        return sum(outcome.status == status for outcome in self.outcomes)
 
 
 class Checked(NamedTuple):
@@ -118,7 +117,7 @@ def checked_results(folder: Path) -> Iterator[Checked]:
 
 def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
     """Hold every dive against every gate that means it, and all together against those on the pooled evidence."""
-    judgements = [
+    outcomes = [
         _evaluated(gates, gate, dive)
         for dive in dives
         for gate in gates.content.gate
@@ -126,25 +125,25 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
     ]
     for gate in gates.content.gate:
         if gate.table == POOLED:
-            judgements.append(_evaluated(gates, gate, pooled_dive(dives)))
-        share_pct, own = gate.share_of_dives_pct, [item for item in judgements if item.gate == gate.name]
+            outcomes.append(_evaluated(gates, gate, pooled_dive(dives)))
+        share_pct, own = gate.share_of_dives_pct, [item for item in outcomes if item.gate == gate.name]
         passed = sum(item.status == GateStatus.PASSED for item in own)
         # Failures on single dives are warnings where enough of the others passed.
         if share_pct is not None and own and 100.0 * passed >= share_pct * len(own):
             reason = f"passed by {passed} of {len(own)} dives, {share_pct:g} % are wanted"
-            judgements = [
+            outcomes = [
                 replace(item, status=GateStatus.WARNING, reasons=(*item.reasons, reason))
                 if item.gate == gate.name and item.status == GateStatus.FAILED
                 else item
-                for item in judgements
+                for item in outcomes
             ]
-    judgements.sort(key=lambda item: list(GateStatus).index(item.status))
+    outcomes.sort(key=lambda item: list(GateStatus).index(item.status))
     words: dict[str, dict[str, int]] = {}
     for dive in dives:
         for name, candidate in (dive.result.filters if isinstance(dive.result, StoredReport) else {}).items():
-            counts, word = words.setdefault(name, {}), str(candidate.get("improvement", ""))
+            counts, word = words.setdefault(name, {}), str(candidate.get("verdict", ""))
             counts[word] = counts.get(word, 0) + 1
-    return CheckResult(str(gates.path), tuple(judgements), words)
+    return CheckResult(str(gates.path), tuple(outcomes), words)
 
 
 def is_meant(gate: Gate, dive: str) -> bool:
@@ -164,19 +163,19 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
         evidence = [
             [row for row in report.tables.get("evidence", []) if row.get("filter") == name]
             for report in reports
-            if name in report.filters and report.filters[name].get("improvement") != Word.NOT_EVALUATED
+            if name in report.filters and report.filters[name].get("verdict") != Verdict.NOT_EVALUATED
         ]
         rows += [asdict(row) for row in pooled_evidence(name, msgspec.convert(evidence, list[list[EvidenceRow]]))]
     return Checked(EVERY_DIVE, StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline))
 
 
-def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> Judgement:
+def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
     held = gate.table == TRAJECTORY and gate.baseline is not None
-    judgement = Judgement(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0), is_trajectory=held)
+    outcome = GateOutcome(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0), is_trajectory=held)
     if gate.level == GateLevel.OFF:
-        return replace(judgement, is_trajectory=False)
+        return replace(outcome, is_trajectory=False)
     if isinstance(dive.result, Exception):
-        return replace(judgement, status=GateStatus.UNUSABLE, reasons=(str(dive.result),))
+        return replace(outcome, status=GateStatus.UNUSABLE, reasons=(str(dive.result),))
     findings: tuple[Finding, ...] = ()
     try:
         baseline = None if gate.baseline is None else _baseline(gates, gate, dive.result.log)
@@ -185,7 +184,7 @@ def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> Judgement:
     except UserError as error:
         reasons = (f"{error.message}; {error.hint}",)
     missed = GateStatus.WARNING if gate.level == GateLevel.WARN else GateStatus.FAILED
-    return replace(judgement, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings)
+    return replace(outcome, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings)
 
 
 def _findings(gate: Gate, dive: Checked, report: StoredReport, baseline: Any) -> tuple[Finding, ...]:
@@ -227,7 +226,7 @@ def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | Non
             statement = f"is {statement}" if old is None else f"went from {value_text(old)} to {statement}"
             complaint = f"is gone with its row, the baseline has {value_text(old)}"
             if row:
-                is_evaluated = report.filters.get(name[0], {}).get("improvement") != Word.NOT_EVALUATED
+                is_evaluated = report.filters.get(name[0], {}).get("verdict") != Verdict.NOT_EVALUATED
                 complaints = _complaints(gate, layout, row, was, unit, statement, is_evaluated=is_evaluated)
                 complaint = "; ".join(complaints)
             sentence = f"{layout.name} {' '.join(dict.fromkeys(name[:2]))}: {column} {complaint or statement}"
@@ -256,7 +255,7 @@ def _complaints(
     is_beside = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
     if is_gain and not is_evaluated:
-        yield f"is {value_text(value)}, and the filter is {Word.NOT_EVALUATED}"
+        yield f"is {value_text(value)}, and the filter is {Verdict.NOT_EVALUATED}"
         return
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
         yield f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
@@ -286,7 +285,7 @@ def _complaints(
     moved = judge_cell(was, row, column, layout, gate.max_worse_pct, gate.max_worse_abs)
     if moved.better is None:
         yield "has no dof beside it, or none in the baseline, to compare by"
-    elif moved.word == ChangeWord.WORSE:
+    elif moved.verdict == ChangeVerdict.WORSE:
         pct = moved.change_pct
         amount = "beyond any percentage" if pct is None else f"by {abs(pct):.3g} {_percent(column)}"
         yield f"{statement}: worse {amount}, {_allowed(gate)} is allowed"

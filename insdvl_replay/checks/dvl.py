@@ -196,8 +196,8 @@ def track_by_positions(
 
     def fitted(gyro_scale: float) -> Fit:
         velocity = measured * np.exp(1j * turned / gyro_scale)
-        way_m = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(ping_s)))
-        track = np.asarray(np.interp(fix_s, ping_s, way_m))
+        moved_m = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(ping_s)))
+        track = np.asarray(np.interp(fix_s, ping_s, moved_m))
         return fit(track[last] - track[first], true)
 
     turns = float(np.ptp(turned)) > np.pi / 2.0

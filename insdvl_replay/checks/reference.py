@@ -207,8 +207,8 @@ def legs_m(steps: Steps) -> tuple[Complex, Complex]:
     legs[-1] = np.ceil(steps.time_s[-1] / 10.0) - 1.0
     rows = np.append(0, np.flatnonzero(np.diff(legs) > 0.0) + 1)
     by_position_m, by_velocity_m = (
-        np.diff(np.append(0.0, np.cumsum(way_m))[rows])
-        for way_m in (steps.by_position_m, np.nan_to_num(steps.by_velocity_m))
+        np.diff(np.append(0.0, np.cumsum(moved_m))[rows])
+        for moved_m in (steps.by_position_m, np.nan_to_num(steps.by_velocity_m))
     )
     unknown = np.diff(np.append(0, np.cumsum(~np.isfinite(steps.by_velocity_m)))[rows])
     whole = (unknown == 0) & (np.diff(steps.time_s[rows]) < 20.0)

@@ -116,13 +116,17 @@ def solution_notes(
                 np.abs(part).max(axis=tuple(range(1, part.ndim)), initial=0.0) for part in (rows - other, rows)
             )
             found[quantity] = int(np.count_nonzero((apart < least) & (size > least)))
-        if solution.way_n is not None:
+        if solution.moved_n is not None:
             # Of positions in metres, whose origin is not known, displacements of ten seconds.
-            time_ns, way_n, position = solution.motion.time_ns[ours], solution.way_n[ours], reference.position[theirs]
+            time_ns, moved_n, position = (
+                solution.motion.time_ns[ours],
+                solution.moved_n[ours],
+                reference.position[theirs],
+            )
             later = np.searchsorted(time_ns, time_ns + 10 * NS_PER_S)
             earlier = np.flatnonzero(later < len(time_ns))
             later = later[earlier]
-            ours_m = (way_n[later] - way_n[earlier])[:, :2]
+            ours_m = (moved_n[later] - moved_n[earlier])[:, :2]
             theirs_m = north_east_down_m(position[later], position[earlier])[:, :2]
             apart_m, far_m = (np.linalg.norm(rows, axis=1) for rows in (ours_m - theirs_m, theirs_m))
             found["ways"] = int(np.count_nonzero((apart_m < 1e-3) & (far_m > 0.1)))

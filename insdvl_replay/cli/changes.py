@@ -217,6 +217,6 @@ def check(
             raise ConfigError(f"{summary}: cannot be written: {error.strerror}", hint) from error
     codes += [GATE_FAILED] * found.count(GateStatus.FAILED)
     if codes:
-        first = found.judgements[0]
+        first = found.outcomes[0]
         log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}")
     return max(codes, default=0)

@@ -12,7 +12,7 @@ import typer
 
 from insdvl_replay.core.errors import LogError, Note, UserError, nearest, visible, visible_lines, without_commands
 
-OUR_MISTAKE = 4
+INTERNAL_ERROR = 4
 USAGE = 2
 
 # typer exports no UsageError, and keeps click inside itself since 0.20: this finds the class wherever it lives.
@@ -87,7 +87,7 @@ def _explained(error: Exception) -> tuple[int, str, str]:
         found = f"there is not enough memory{f': {error}' if str(error) else ''}"
         return LogError.exit_code, found, "run it where a process may have more; `ulimit -v` shows a limit"
     return (
-        OUR_MISTAKE,
+        INTERNAL_ERROR,
         f"this is a mistake in insdvl-replay: {type(error).__name__}: {error}",
         "run it again with -vv and report what it prints, with the output of `insdvl-replay --version`",
     )

@@ -193,15 +193,15 @@ class SolutionColumns:
     """A solution that the vehicle found itself, as its log or a file has it."""
 
     motion: ReferenceColumns  # r rows
-    way_n: Floats | None  # (r, 3) m, from an unknown origin; `motion` has no positions then
+    moved_n: Floats | None  # (r, 3) m, from an unknown origin; `motion` has no positions then
     cov_ns: TimeNs  # (c,) times, evenly chosen, of which the covariance is kept
     cov: Floats  # (c, 9, 9) of velocity error, misalignment and position error, all in n, SI; NaN where not given
 
     def where(self, keep: Callable[[TimeNs], NDArray[np.bool_]]) -> "SolutionColumns":
         """Keep the rows of some of the times, shape (k,), of which a mask says which."""
         rows, of_cov = keep(self.motion.time_ns), keep(self.cov_ns)
-        way_n = None if self.way_n is None else self.way_n[rows]
-        return SolutionColumns(self.motion.rows(rows), way_n, self.cov_ns[of_cov], self.cov[of_cov])
+        moved_n = None if self.moved_n is None else self.moved_n[rows]
+        return SolutionColumns(self.motion.rows(rows), moved_n, self.cov_ns[of_cov], self.cov[of_cov])
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ class History:
     corrected: Floats = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
-    def believed(self) -> NDArray[np.bool_]:
+    def predicted(self) -> NDArray[np.bool_]:
         """Which states have a standard deviation, shape (n,): all of a filter that was run, even if it diverged."""
         return np.asarray(np.isfinite(self.sd).any(axis=0) | (not self.is_partial))
 

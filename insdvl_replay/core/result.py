@@ -36,7 +36,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import sources_digest
-from insdvl_replay.core.tables import Candidate, Tables
+from insdvl_replay.core.tables import CandidateVerdict, Tables
 
 if TYPE_CHECKING:
     # Only their types are needed: who looks into a stored result must not wait for them.
@@ -52,7 +52,7 @@ Scale = Literal["linear", "log"]
 REFERENCE: Final = "reference"
 LIMIT: Final = "limit"
 REJECTED: Final = "rejected"
-BELIEVED: Final = "sigma"
+PREDICTED: Final = "sigma"
 """Beside the style of a filter: finely dotted."""
 
 
@@ -338,7 +338,7 @@ class Report(Struct, frozen=True):
     versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
     log: Log
     baseline: Annotated[str, Meta(description="name of the filter that the candidates are compared with")]
-    filters: Annotated[dict[str, Candidate], Meta(description="what there is to say of each candidate")]
+    filters: Annotated[dict[str, CandidateVerdict], Meta(description="what there is to say of each candidate")]
     tables: Tables
     notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
@@ -350,7 +350,7 @@ def build_report(
     dive: "Dive",
     config: Config,
     tables: Tables,
-    candidates: Mapping[str, Candidate],
+    candidates: Mapping[str, CandidateVerdict],
     notes: Sequence[Note],
     start_ns: int,
     end_ns: int,
@@ -362,7 +362,7 @@ def build_report(
         versions=package_versions(),
         log=Log(dive.name, dive.sha256, start_ns, end_ns, (end_ns - start_ns) * 1e-9, list(dive.channels)),
         baseline=config.baseline,
-        filters=_without_nan(dict(candidates), dict[str, Candidate]),
+        filters=_without_nan(dict(candidates), dict[str, CandidateVerdict]),
         tables=_without_nan(tables, Tables),
         notes=list(notes),
         config=msgspec.to_builtins(config),

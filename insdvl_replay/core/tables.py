@@ -28,7 +28,7 @@ from insdvl_replay.core.quantities import (
     axis_of,
 )
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.words import Belief, EvidenceWord, Judgement, Whiteness
+from insdvl_replay.core.words import EvidenceVerdict, Prediction, Verdict, Whiteness
 
 Number = float | None
 # What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES.
@@ -341,12 +341,17 @@ class EvidenceRow(Struct, frozen=True):
     ]
     starts: Annotated[int, Col("Starts that were replayed, and stretches of the dive or windows that were compared.")]
     windows: int
-    word: Annotated[
+    verdict: Annotated[
         str,
         Col(
             "better, worse, equivalent or undecided; empty where the filter is not evaluated.",
-            head="word",
-            best_first=(EvidenceWord.BETTER, EvidenceWord.EQUIVALENT, EvidenceWord.UNDECIDED, EvidenceWord.WORSE),
+            head="verdict",
+            best_first=(
+                EvidenceVerdict.BETTER,
+                EvidenceVerdict.EQUIVALENT,
+                EvidenceVerdict.UNDECIDED,
+                EvidenceVerdict.WORSE,
+            ),
         ),
     ]
     p: Annotated[
@@ -558,7 +563,7 @@ class PooledRow(Struct, frozen=True):
         Number,
         Col("Of a true difference of at most 5 %, by Student's t: below 0.01 the row decides.", head="p", form="4"),
     ]
-    word: Annotated[str, Col(head="word")]
+    verdict: Annotated[str, Col(head="verdict")]
 
 
 class Tables(Struct, frozen=True):
@@ -576,14 +581,14 @@ class Tables(Struct, frozen=True):
     jumps: list[JumpRow] = []
 
 
-class Candidate(Struct, frozen=True):
+class CandidateVerdict(Struct, frozen=True):
     """What there is to say of one candidate."""
 
-    verdict: Annotated[str, Meta(description="one paragraph for people: measured, believed, consistent")]
-    improvement: Annotated[
+    sentence: Annotated[str, Meta(description="one paragraph for people: measured, predicted, consistent")]
+    verdict: Annotated[
         str,
         Meta(description="better, worse, mixed, equivalent, undecided or not evaluated, by all evidence"),
-        Col(best_first=tuple(Judgement)),
+        Col(best_first=tuple(Verdict)),
     ]
     consistency: Annotated[
         str, Meta(description="the gravest verdict of its measurements"), Col(best_first=VERDICTS_BEST_FIRST)
@@ -600,10 +605,10 @@ class Candidate(Struct, frozen=True):
     credibility: Annotated[
         str, Meta(description="the gravest verdict of its errors against the reference, among the groups of states")
     ] = ""
-    belief: Annotated[
+    prediction: Annotated[
         str,
         Meta(description="whether what was measured bears out what it believes: confirmed, not confirmed, undecided"),
-        Col(best_first=tuple(Belief)),
+        Col(best_first=tuple(Prediction)),
     ] = ""
     mean_convergence_unchanged_pct: Annotated[
         Number, Meta(description="the mean convergence improvement that a candidate has which changes nothing")
@@ -619,7 +624,7 @@ TABLES: Final[tuple[TableLayout, ...]] = tuple(
     layout_of(name, row) for name, rows in get_type_hints(Tables).items() for row in get_args(rows)
 )
 # The block ``filters`` of a report, read as a table with one row for each candidate.
-CANDIDATES: Final = layout_of("filters", Candidate)
+CANDIDATES: Final = layout_of("filters", CandidateVerdict)
 LAYOUTS: Final = (CANDIDATES, *TABLES)  # All that results are compared by, in the order of what a reader asks first.
 
 

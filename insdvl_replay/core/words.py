@@ -38,7 +38,7 @@ class Whiteness(StrEnum):
     NOT_FINITE = "not finite"
 
 
-class EvidenceWord(StrEnum):
+class EvidenceVerdict(StrEnum):
     """What one piece of evidence says of a candidate beside the baseline."""
 
     BETTER = "better"
@@ -47,7 +47,7 @@ class EvidenceWord(StrEnum):
     WORSE = "worse"
 
 
-class Judgement(StrEnum):
+class Verdict(StrEnum):
     """What all evidence says of a candidate beside the baseline."""
 
     BETTER = "better"  # In something, and in nothing worse.
@@ -59,7 +59,7 @@ class Judgement(StrEnum):
     NOT_EVALUATED = "not evaluated"
 
 
-class Belief(StrEnum):
+class Prediction(StrEnum):
     """Whether what was measured bears out what a candidate believes to have gained."""
 
     CONFIRMED = "confirmed"
@@ -138,7 +138,7 @@ class GateStatus(StrEnum):
     PASSED = "passed"
 
 
-class ChangeWord(StrEnum):
+class ChangeVerdict(StrEnum):
     """What became of a cell, in the order in which a comparison counts it."""
 
     BETTER = "better"
@@ -163,6 +163,6 @@ class Estimated(StrEnum):
 
     ESTIMATED = "estimated"
     HELD = "held"  # The dives do not show it: it stays as it was, to the bit.
-    DOUBTFUL = "doubtful"  # What was found cannot be right, and is not proposed.
+    IMPLAUSIBLE = "implausible"  # What was found cannot be right, and is not proposed.
     NOT_DETERMINED = "not determined"  # A noise that these dives do not tell to a factor of two.
     NOT_ASKED = "not asked"

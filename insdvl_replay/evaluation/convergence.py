@@ -155,7 +155,7 @@ class ConvergenceCurves(NamedTuple):
 
     time_s: Floats  # (g,), after the start
     rms: Mapping[str, Floats]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
-    believed: Mapping[str, Floats]  # (g,) by filter: what it predicts of them from its own start
+    predicted: Mapping[str, Floats]  # (g,) by filter: what it predicts of them from its own start
     limit: float  # below which a filter has converged
 
 
@@ -215,7 +215,7 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
 
 def predicted_states(history: History) -> list[State]:
     """List those of the twelve states that a history has standard deviations of."""
-    predicted = history.believed if history.updated.any() else np.zeros(len(history.states), np.bool_)
+    predicted = history.predicted if history.updated.any() else np.zeros(len(history.states), np.bool_)
     return [state for state in STATES if predicted[state.index]]
 
 

@@ -85,7 +85,7 @@ def state_errors(history: History, reference: ReferenceColumns, truth: TruthColu
         error[~np.isfinite(np.diagonal(cov, axis1=1, axis2=2))] = np.nan
     heading = rpy_from_mat(reference.mat_nb[theirs])[:, 2]
     exact_start = not history.has_own_start
-    return StateErrors(history.filter, time_ns, error, cov, heading, history.believed[:n], exact_start)
+    return StateErrors(history.filter, time_ns, error, cov, heading, history.predicted[:n], exact_start)
 
 
 def about_vehicle(errors: StateErrors) -> StateErrors:

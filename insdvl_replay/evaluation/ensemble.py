@@ -127,7 +127,7 @@ def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
         for ensemble in ensembles
     )
     table["ratio"] = table["rms_error"] / table["final_sd"]
-    for name, column in ("believed_improvement_pct", "final_sd"), ("true_improvement_pct", "rms_error"):
+    for name, column in ("predicted_improvement_pct", "final_sd"), ("true_improvement_pct", "rms_error"):
         before = np.tile(table[column][:DOF], len(ensembles)).tolist()
         changes = [improvement_pct(*pair) for pair in zip(before, table[column].tolist(), strict=True)]
         table[name] = [*np.full(DOF, np.nan), *changes[DOF:]]

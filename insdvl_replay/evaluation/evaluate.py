@@ -54,7 +54,7 @@ from insdvl_replay.evaluation.reference_errors import (
 MOST_COVARIANCES: Final = 20_000
 
 
-def judged_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:
+def evaluated_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:
     """Choose the times at which P is kept and errors are judged by it: all of the reference, or evenly some of them."""
     if reference is None:
         return np.empty(0, dtype=np.int64)

@@ -30,7 +30,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.states import DEG, PHI
 from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow, Number, finite
-from insdvl_replay.core.words import Consistency, EvidenceWord
+from insdvl_replay.core.words import Consistency, EvidenceVerdict
 from insdvl_replay.evaluation.convergence import MeasuredConvergence
 from insdvl_replay.evaluation.drift import (
     STEP_S,
@@ -53,8 +53,8 @@ from insdvl_replay.evaluation.series import (
     RatioInterval,
     paired_ratio,
     thinned,
+    verdict_of_interval,
     windows_ratio,
-    word_of,
 )
 from insdvl_replay.geometry.frames import north_east_down_m
 
@@ -258,13 +258,13 @@ def evidence_table(
         for quantity, name in CONVERGED.items():
             if (found := converged.get(name)) is not None:
                 # A few of the drawn starts may make other times: such are no equal ones, either.
-                interval, word = found.interval, word_of(found.interval)
-                decisive = (interval.low, interval.high) if word == EvidenceWord.EQUIVALENT else (interval.ratio,)
+                interval, word = found.interval, verdict_of_interval(found.interval)
+                decisive = (interval.low, interval.high) if word == EvidenceVerdict.EQUIVALENT else (interval.ratio,)
                 near = all(1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER for ratio in decisive)
-                word = word if near == (word == EvidenceWord.EQUIVALENT) else EvidenceWord.UNDECIDED
+                word = word if near == (word == EvidenceVerdict.EQUIVALENT) else EvidenceVerdict.UNDECIDED
                 values, starts = (found.baseline_s, found.candidate_s), int(interval.effective_samples)
                 rows.append(
-                    new("convergence", f"convergence_{quantity}", "s", values, interval, word=word, starts=starts)
+                    new("convergence", f"convergence_{quantity}", "s", values, interval, verdict=word, starts=starts)
                 )
         for quantity, values in measured.track.get(candidate, {}).items():
             # One sample, which decides nothing alone.
@@ -281,7 +281,7 @@ def evidence_table(
             if off and now and math.isfinite(off.size) and math.isfinite(now.size):
                 ratio, word = _more_consistent(off, now)
                 interval = NOTHING._replace(ratio=ratio, effective_samples=math.nan)
-                rows.append(new(CONSISTENT, quantity, "", (off.size, now.size), interval, word=word))
+                rows.append(new(CONSISTENT, quantity, "", (off.size, now.size), interval, verdict=word))
     return rows
 
 
@@ -294,7 +294,7 @@ def _row(
     values: tuple[float, float],  # of the baseline and of the candidate
     interval: RatioInterval,
     *,
-    word: EvidenceWord | None = None,  # if not that of the interval
+    verdict: EvidenceVerdict | None = None,  # if not that of the interval
     starts: int = 1,
     windows: int = 0,
     why: str = "",
@@ -313,7 +313,7 @@ def _row(
         effective_samples=interval.independent,
         starts=starts,
         windows=windows,
-        word=word or word_of(interval),
+        verdict=verdict or verdict_of_interval(interval),
         p=None if math.isnan(interval.low) else interval.p,
         why=why,
     )
@@ -332,16 +332,16 @@ def _rows_of_squares(new: Callable[..., EvidenceRow], pair: Pair) -> Iterator[Ev
                 samples = min(interval.effective_samples, shortest.effective_samples)
                 interval = interval._replace(effective_samples=samples, stretch=shortest.stretch)
         # A word is kept where not all is the noise of the reference, and equivalence where hardly anything is.
-        word, why = word_of(interval), _why(interval, before.span_s)
+        word, why = verdict_of_interval(interval), _why(interval, before.span_s)
         noise, largest = before.floor, max(_rms(before.squared), _rms(after.squared))
-        noisy = noise >= largest or (noise > NOISY * largest and word == EvidenceWord.EQUIVALENT)
+        noisy = noise >= largest or (noise > NOISY * largest and word == EvidenceVerdict.EQUIVALENT)
         if noisy and interval.low < interval.high:
-            why = why or (NOISE_OF_REFERENCE if word != EvidenceWord.UNDECIDED else "")
-            word = EvidenceWord.UNDECIDED
+            why = why or (NOISE_OF_REFERENCE if word != EvidenceVerdict.UNDECIDED else "")
+            word = EvidenceVerdict.UNDECIDED
         start_sq = [errors.squared[0] if errors.own is None else errors.own for errors in (before, after)]
         known = np.isfinite(start_sq[0]) & np.isfinite(start_sq[1])
         values, (starts, windows) = (_rms(start_sq[0][known]), _rms(start_sq[1][known])), before.squared.shape
-        yield new(quantity, before.unit, values, interval, word=word, starts=starts, windows=windows, why=why)
+        yield new(quantity, before.unit, values, interval, verdict=word, starts=starts, windows=windows, why=why)
 
 
 def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> str:
@@ -412,16 +412,16 @@ def _consistency_sizes(
     }
 
 
-def _more_consistent(before: _Size, after: _Size) -> tuple[float, EvidenceWord]:
+def _more_consistent(before: _Size, after: _Size) -> tuple[float, EvidenceVerdict]:
     """Compare how far the sizes are from 1; no candidate is more consistent for being overconfident instead."""
     off, new_off = (abs(math.log(found.size)) if found.size > 0.0 else math.inf for found in (before, after))
     ratio, becomes_worse = math.exp(new_off - off), after.order[0] > before.order[0]
     if Consistency.INSUFFICIENT in (before.verdict, after.verdict):
-        return ratio, EvidenceWord.UNDECIDED
+        return ratio, EvidenceVerdict.UNDECIDED
     if before.verdict == after.verdict == Consistency.CONSERVATIVE:
-        return ratio, EvidenceWord.EQUIVALENT  # both promise less than they keep
+        return ratio, EvidenceVerdict.EQUIVALENT  # both promise less than they keep
     if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not becomes_worse:
-        return ratio, EvidenceWord.BETTER
+        return ratio, EvidenceVerdict.BETTER
     if after.verdict != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
-        return ratio, EvidenceWord.WORSE
-    return ratio, EvidenceWord.EQUIVALENT
+        return ratio, EvidenceVerdict.WORSE
+    return ratio, EvidenceVerdict.EQUIVALENT

@@ -271,7 +271,7 @@ def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
 
 
 def reference_notes(
-    dive: Dive, start_ns: int, end_ns: int, history: History, judged_ns: TimeNs, *, independent: bool
+    dive: Dive, start_ns: int, end_ns: int, history: History, evaluated_ns: TimeNs, *, independent: bool
 ) -> tuple[Note, ...]:
     """Note what the reference cannot tell: errors that it shares, and what of the dive it does not see."""
     reference, truth = dive.reference, dive.truth
@@ -305,9 +305,9 @@ def reference_notes(
             hint = "--start and --end choose that part"
             notes.append(Note(f"{source}_coverage", text, count, Severity.WARNING, hint))
     count = int(np.sum((reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)))
-    if left_out := count - len(judged_ns):
+    if left_out := count - len(evaluated_ns):
         text = (
-            f"credibility is judged at {len(judged_ns)} of the {count} times of the reference, evenly chosen: P "
+            f"credibility is judged at {len(evaluated_ns)} of the {count} times of the reference, evenly chosen: P "
             "at all of them would fill the memory"
         )
         notes.append(Note("credibility_thinned", text, left_out))

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs, nanoseconds
-from insdvl_replay.core.words import EvidenceWord
+from insdvl_replay.core.words import EvidenceVerdict
 
 # The bias depends on the correlation time that it biases: so many iterations bring the two to agree.
 BIAS_ROUNDS: Final = 3
@@ -355,19 +355,19 @@ def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective
     return RatioInterval(ratio, low, high, low90, high90, effective_samples, freedom)
 
 
-def word_of(interval: RatioInterval, fewest: float = FEWEST_EFFECTIVE) -> EvidenceWord:
+def verdict_of_interval(interval: RatioInterval, fewest: float = FEWEST_EFFECTIVE) -> EvidenceVerdict:
     """Return better or worse where the ratio is surely beyond the margin, equivalent surely inside, or undecided.
 
     Equivalent is two one-sided tests at 5 %. Too few effective samples decide nothing.
     """
     least, most = 1.0 / (1.0 + MARGIN), 1.0 + MARGIN
     if not interval.effective_samples >= fewest:
-        return EvidenceWord.UNDECIDED
+        return EvidenceVerdict.UNDECIDED
     if least <= interval.low90 and interval.high90 <= most:
-        return EvidenceWord.EQUIVALENT
+        return EvidenceVerdict.EQUIVALENT
     if not interval.p < LARGEST_P:
-        return EvidenceWord.UNDECIDED
-    return EvidenceWord.BETTER if interval.ratio < 1.0 else EvidenceWord.WORSE
+        return EvidenceVerdict.UNDECIDED
+    return EvidenceVerdict.BETTER if interval.ratio < 1.0 else EvidenceVerdict.WORSE
 
 
 def what_settles(interval: RatioInterval, dives: int) -> str:

@@ -31,7 +31,7 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.states import DVL_AIDING, NINE
 from insdvl_replay.core.tables import (
-    Candidate,
+    CandidateVerdict,
     ConsistencyRow,
     CredibilityRow,
     EvidenceRow,
@@ -40,13 +40,13 @@ from insdvl_replay.core.tables import (
     Tables,
     finite,
 )
-from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
+from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.evidence import FEWEST_STARTS
 from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
-from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, what_settles, word_of
+from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, verdict_of_interval, what_settles
 
 NOTABLE_PCT: Final = 5.0  # A smaller gain is not spoken of as a predicted one.
 CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be measured.
@@ -63,21 +63,21 @@ LARGEST_NIS_PER_DOF: Final = 10.0
 FARTHEST_PCT: Final = 20.0
 # Notes on columns that cannot all be right.
 CONTRADICTIONS: Final = (
-    "beam_contradiction", "dvl_contradiction", "dvl_direction", "imu_gyro_contradiction", "imu_gyro_sign",
+    "dvl_beam_contradiction", "dvl_contradiction", "dvl_direction", "imu_gyro_contradiction", "imu_gyro_sign",
     "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
 )  # fmt: skip
 SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
 ON_PREDICTION: Final = {
-    Belief.CONFIRMED: ", and that is confirmed",
-    Belief.NOT_CONFIRMED: ", and that is NOT confirmed",
-    Belief.UNDECIDED: ", and whether that is so is undecided",
+    Prediction.CONFIRMED: ", and that is confirmed",
+    Prediction.NOT_CONFIRMED: ", and that is NOT confirmed",
+    Prediction.UNDECIDED: ", and whether that is so is undecided",
 }
 AGAINST: Final = {
-    Judgement.BETTER: "is BETTER than",
-    Judgement.WORSE: "is WORSE than",
-    Judgement.MIXED: "is better in some and WORSE in other things than",
-    Judgement.EQUIVALENT: "is as good as",
-    Judgement.UNDECIDED: "is undecided against",
+    Verdict.BETTER: "is BETTER than",
+    Verdict.WORSE: "is WORSE than",
+    Verdict.MIXED: "is better in some and WORSE in other things than",
+    Verdict.EQUIVALENT: "is as good as",
+    Verdict.UNDECIDED: "is undecided against",
 }
 EVERY_DIVE: Final = "*"  # In place of a dive's name.
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
@@ -89,13 +89,13 @@ P = TypeVar("P", bound=Piece)
 # --- The words of tables, taken together.
 
 
-def judgement_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Judgement:
+def verdict_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Verdict:
     """Return what the evidence on one candidate says together: better in something and worse in nothing, and so on."""
-    words = [row.word for row in rows if row.quantity in deciding]
-    better, worse = EvidenceWord.BETTER in words, EvidenceWord.WORSE in words
+    words = [row.verdict for row in rows if row.quantity in deciding]
+    better, worse = EvidenceVerdict.BETTER in words, EvidenceVerdict.WORSE in words
     if better or worse:
-        return Judgement.MIXED if better and worse else Judgement.BETTER if better else Judgement.WORSE
-    return Judgement.EQUIVALENT if words and words[0] == EvidenceWord.EQUIVALENT else Judgement.UNDECIDED
+        return Verdict.MIXED if better and worse else Verdict.BETTER if better else Verdict.WORSE
+    return Verdict.EQUIVALENT if words and words[0] == EvidenceVerdict.EQUIVALENT else Verdict.UNDECIDED
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
@@ -155,7 +155,7 @@ def not_evaluated(
         wrong = [invalid[name] for name in pair if name in invalid]
         wrong += [suspect[name] for name in pair] if suspect.keys() >= set(pair) else []
         left = nothing_better(row for row in tables.evidence if row.filter == candidate)
-        too_large = "" if judgement_of(left) == Judgement.WORSE else surprised(candidate, tables.consistency)
+        too_large = "" if verdict_of(left) == Verdict.WORSE else surprised(candidate, tables.consistency)
         if reason := contradicted or " and ".join(wrong) or too_large:
             unsound[candidate] = reason
     return unsound
@@ -163,7 +163,10 @@ def not_evaluated(
 
 def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
     """Take the word *better* from evidence on a filter that a sensor surprises."""
-    return [replace(row, word=EvidenceWord.UNDECIDED) if row.word == EvidenceWord.BETTER else row for row in rows]
+    return [
+        replace(row, verdict=EvidenceVerdict.UNDECIDED) if row.verdict == EvidenceVerdict.BETTER else row
+        for row in rows
+    ]
 
 
 def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
@@ -239,14 +242,14 @@ def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceE
 # --- The verdict on one dive.
 
 
-def judged_candidates(
+def evaluated_candidates(
     histories: tuple[History, ...],  # the first is the baseline
     errors: Mapping[str, ReferenceErrors],  # by filter; empty without a reference
     tables: Tables,
     notes: Sequence[Note],  # of the dive
     *,
     independent: bool,  # whether the reference shares no sensors with the filters
-) -> tuple[Tables, dict[str, Candidate]]:
+) -> tuple[Tables, dict[str, CandidateVerdict]]:
     """Judge each candidate by the evidence in the tables; those that are not evaluated lose their words there."""
     baseline, *candidates = (history.filter for history in histories)
     unsound = not_evaluated(histories, errors, tables, notes)
@@ -262,7 +265,7 @@ def judged_candidates(
         left_out = "depth" if by_depth & {baseline, name} else ""
         rows = [row for row in tables.evidence if row.filter == name and row.quantity != left_out]
         rows = nothing_better(rows) if surprised(name, tables.consistency) else rows
-        evidence += [replace(row, word="") for row in rows] if name in unsound else rows  # no gate on them may pass
+        evidence += [replace(row, verdict="") for row in rows] if name in unsound else rows  # no gate on them may pass
     tables = replace(tables, evidence=evidence)
     return tables, verdicts(tables, baseline, candidates, unsound, independent=independent)
 
@@ -274,33 +277,33 @@ def verdicts(
     unsound: Mapping[str, str],  # by candidate what keeps it from being evaluated, from `not_evaluated`
     *,
     independent: bool,  # whether the reference shares no sensors with the filters
-) -> dict[str, Candidate]:
+) -> dict[str, CandidateVerdict]:
     """Judge each candidate, by name."""
     judged, has_reference = {}, any(row.samples for row in tables.reference_error)
     for candidate in candidates:
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
-        judgement, belief = Judgement.NOT_EVALUATED, Belief.UNDECIDED
+        verdict, prediction = Verdict.NOT_EVALUATED, Prediction.UNDECIDED
         measured = f"{candidate} is NOT EVALUATED against {baseline}: {unsound.get(candidate)}; settle that first"
         if candidate not in unsound:
-            judgement = judgement_of(evidence)
-            belief, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
-            measured = f"{candidate} {AGAINST[judgement]} {baseline}: {_measured(judgement, evidence)}{predicted}"
+            verdict = verdict_of(evidence)
+            prediction, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
+            measured = f"{candidate} {AGAINST[verdict]} {baseline}: {_measured(verdict, evidence)}{predicted}"
         changes = [
             finite(row.improvement_pct)
             for row in tables.reference_error
             if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
         ]
         shared = "" if independent or not has_reference else f" {SHARED}"
-        judged[candidate] = Candidate(
-            verdict=f"{measured}. {trust_sentence(tables, candidate, baseline)}{shared}",
-            improvement=judgement,
+        judged[candidate] = CandidateVerdict(
+            sentence=f"{measured}. {trust_sentence(tables, candidate, baseline)}{shared}",
+            verdict=verdict,
             consistency=consistency_of(tables.consistency, candidate),
             mean_improvement_pct=predicted_pct,
             mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
             reference_improvement_pct=_median(changes),
             credibility=credibility_of(tables.credibility, candidate),
-            belief=belief,
+            prediction=prediction,
             mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
             mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
         )
@@ -319,21 +322,21 @@ def _prediction(
     tables: Tables,
     evidence: Sequence[EvidenceRow],
     has_reference: bool,
-) -> tuple[Belief, str]:
+) -> tuple[Prediction, str]:
     """Say what a candidate predicts, and whether at least half of that was measured; undecided if both are possible."""
     given = {row.state for row in tables.improvement if row.filter == candidate}
     if not given >= {state.id for state in NINE}:
-        return Belief.UNDECIDED, ". It says how sure it is of some states alone" if given else ""
+        return Prediction.UNDECIDED, ". It says how sure it is of some states alone" if given else ""
     if not np.isfinite(predicted_pct):
-        return Belief.UNDECIDED, ". It believes in nothing finite"
+        return Prediction.UNDECIDED, ". It believes in nothing finite"
     if abs(predicted_pct) < NOTABLE_PCT:
         same = f"errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
-        return Belief.UNDECIDED, f". It believes in {same}"
+        return Prediction.UNDECIDED, f". It believes in {same}"
     predicted = f". It believes in {abs(predicted_pct):.1f} % {'smaller' if predicted_pct > 0 else 'larger'} errors"
     if predicted_pct < 0.0:
-        return Belief.UNDECIDED, predicted
+        return Prediction.UNDECIDED, predicted
 
-    belief, accuracy = Belief.UNDECIDED, [row for row in evidence if row.evidence == "accuracy"]
+    prediction, accuracy = Prediction.UNDECIDED, [row for row in evidence if row.evidence == "accuracy"]
     measured = [row for row in accuracy if row.ratio is not None]
     if measured and max(row.starts for row in measured) >= FEWEST_STARTS:
         least_pct, most_pct = (
@@ -341,38 +344,41 @@ def _prediction(
             for ends in ([row.high for row in measured], [row.low for row in measured])
         )
         if least_pct >= CONFIRMED * predicted_pct:
-            belief = Belief.CONFIRMED
+            prediction = Prediction.CONFIRMED
         elif most_pct < CONFIRMED * predicted_pct:
-            belief = Belief.NOT_CONFIRMED
+            prediction = Prediction.NOT_CONFIRMED
     if not has_reference:  # which is said of the dive, once
-        return belief, predicted
+        return prediction, predicted
     if not accuracy:
-        return belief, f"{predicted}, and the reference does not tell whether that is so"
+        return prediction, f"{predicted}, and the reference does not tell whether that is so"
     if max(row.starts for row in accuracy) < FEWEST_STARTS:
-        return belief, f"{predicted}, and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
-    return belief, predicted + ON_PREDICTION[belief]
+        return prediction, f"{predicted}, and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
+    return prediction, predicted + ON_PREDICTION[prediction]
 
 
-def _measured(judgement: Judgement, evidence: Sequence[EvidenceRow]) -> str:
+def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
     """Say what was measured, by the pieces of evidence that decided, or those that could have."""
     pieces = []
-    for row in spoken_of(judgement, evidence):
+    for row in spoken_of(verdict, evidence):
         piece = changed(row.quantity, finite(row.ratio))
         if np.isfinite(finite(row.ratio)):
             values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
             interval, why = interval_in_words(row.ratio, row.low, row.high), f"; {row.why}" if row.why else ""
             piece = f"{piece} (this dive: {values}; 95 % on this dive: {interval}{why})"
         pieces.append(piece)
-    left = left_undecided(judgement, evidence)
+    left = left_undecided(verdict, evidence)
     undecided = [row for row in evidence if row.quantity in DECIDING and not row.why]
-    if judgement == Judgement.UNDECIDED and undecided and not left:
+    if verdict == Verdict.UNDECIDED and undecided and not left:
         # What would decide the dive, by the first piece of evidence that is not about a single stretch.
         needed = _needed(undecided[0], finite(undecided[0].effective_samples), 1)
         left = f"; {needed}" if needed else ""
-    words = {row.word for row in evidence if row.evidence == CONSISTENT} & {EvidenceWord.BETTER, EvidenceWord.WORSE}
+    words = {row.verdict for row in evidence if row.evidence == CONSISTENT} & {
+        EvidenceVerdict.BETTER,
+        EvidenceVerdict.WORSE,
+    }
     if len(words) == 1:
-        is_more = EvidenceWord.BETTER in words
-        joined = "but" if is_more == (judgement == Judgement.WORSE) else "and"
+        is_more = EvidenceVerdict.BETTER in words
+        joined = "but" if is_more == (verdict == Verdict.WORSE) else "and"
         left += f"; {joined} it is {'more' if is_more else 'less'} honest"
     return f"{'; '.join(pieces) or 'there is nothing to measure it by'}{left}"
 
@@ -383,21 +389,21 @@ def _needed(row: Piece, samples: float, dives: int) -> str:
     return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
 
 
-def left_undecided(judgement: Judgement, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
+def left_undecided(verdict: Verdict, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
     """Name what is undecided where the first piece alone makes filters equivalent, as the end of a sentence."""
-    undecided = (row.quantity for row in rows if row.quantity in deciding and row.word == EvidenceWord.UNDECIDED)
-    names = ", ".join(map(label, undecided)) if judgement == Judgement.EQUIVALENT else ""
+    undecided = (row.quantity for row in rows if row.quantity in deciding and row.verdict == EvidenceVerdict.UNDECIDED)
+    names = ", ".join(map(label, undecided)) if verdict == Verdict.EQUIVALENT else ""
     return f"; undecided: {names}" if names else ""
 
 
-def spoken_of(judgement: Judgement, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
+def spoken_of(verdict: Verdict, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
     """Choose pieces of evidence of each word that made the judgement, or could have: the first of each kind."""
-    words = {judgement.value} & set(EvidenceWord) or {EvidenceWord.UNDECIDED}
-    if judgement == Judgement.MIXED:
-        words = {EvidenceWord.BETTER, EvidenceWord.WORSE}
+    words = {verdict.value} & set(EvidenceVerdict) or {EvidenceVerdict.UNDECIDED}
+    if verdict == Verdict.MIXED:
+        words = {EvidenceVerdict.BETTER, EvidenceVerdict.WORSE}
     known, spoken = [row for row in rows if row.quantity in deciding], list[P]()
     for word in sorted(words):
-        kinds: dict[str, P] = {row.evidence: row for row in reversed(known) if row.word == word}
+        kinds: dict[str, P] = {row.evidence: row for row in reversed(known) if row.verdict == word}
         spoken += [*reversed(kinds.values())][: MOST_NAMED // len(words)]
     return spoken
 
@@ -427,13 +433,13 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
     A candidate that is aided by a sensor beside the DVL has the NIS of each of its sensors in the sentence.
     """
     alarm = outage_alarm(tables.outage, (baseline, candidate))
-    trust, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
-    if trust == Consistency.NOT_AVAILABLE:
+    consistency_words, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
+    if consistency_words == Consistency.NOT_AVAILABLE:
         return f"{candidate} does not say how sure it is, {baseline} is {baseline_trust}.{alarm}"
-    sentence = f"Both filters are {trust}."
-    if trust != baseline_trust:
-        sentence = f"{candidate} is {trust}, {baseline} {baseline_trust}."
-    elif trust == Consistency.INSUFFICIENT:
+    sentence = f"Both filters are {consistency_words}."
+    if consistency_words != baseline_trust:
+        sentence = f"{candidate} is {consistency_words}, {baseline} {baseline_trust}."
+    elif consistency_words == Consistency.INSUFFICIENT:
         sentence = "Too few updates to judge either."
     used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
     if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
@@ -492,7 +498,7 @@ def pooled_evidence(
                 dives=int(known.sum()),
                 dives_won=int((logs < 0.0).sum()),
                 p=interval.p,
-                word=EvidenceWord.UNDECIDED if unsettled else word_of(interval, FEWEST_DIVES),
+                verdict=EvidenceVerdict.UNDECIDED if unsettled else verdict_of_interval(interval, FEWEST_DIVES),
             )
         )
     return pooled
@@ -509,11 +515,11 @@ class PooledCandidate:
     judged: int  # in which it is evaluated
 
     @property
-    def judgement(self) -> Judgement:
+    def verdict(self) -> Verdict:
         """The verdict on it; none where half of the dives are not evaluated."""
         if 2 * self.judged <= self.dives:
-            return Judgement.NOT_EVALUATED
-        return judgement_of(self.rows, DECIDING_TOGETHER)
+            return Verdict.NOT_EVALUATED
+        return verdict_of(self.rows, DECIDING_TOGETHER)
 
 
 def pooled_candidate(
@@ -528,11 +534,11 @@ def pooled_candidate(
 
 def pooled_sentence(pooled: PooledCandidate) -> str:
     """Say in one sentence what several dives say of a candidate."""
-    judgement, dives = pooled.judgement, f"{pooled.judged} of {pooled.dives} dives"
-    if judgement == Judgement.NOT_EVALUATED:
+    verdict, dives = pooled.verdict, f"{pooled.judged} of {pooled.dives} dives"
+    if verdict == Verdict.NOT_EVALUATED:
         found = f"it is judged in {dives}; settle the others first"
         return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."
-    spoken = spoken_of(judgement, pooled.rows, DECIDING_TOGETHER)
+    spoken = spoken_of(verdict, pooled.rows, DECIDING_TOGETHER)
     pieces = [
         f"{changed(row.quantity, finite(row.ratio))} (95 % over dives: "
         f"{interval_in_words(row.ratio, row.low, row.high)}; "
@@ -540,8 +546,8 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
         f"p = {finite(row.p):.2g})"
         for row in spoken
     ]
-    if spoken and judgement == Judgement.UNDECIDED:
+    if spoken and verdict == Verdict.UNDECIDED:
         pieces.append(_needed(spoken[0], float(spoken[0].dives), spoken[0].dives))
     found = "; ".join(filter(None, pieces)) or "there is nothing to measure it by"
-    left = left_undecided(judgement, pooled.rows, DECIDING_TOGETHER)
-    return f"{pooled.name} {AGAINST[judgement]} {pooled.baseline} over {dives}: {found}{left}."
+    left = left_undecided(verdict, pooled.rows, DECIDING_TOGETHER)
+    return f"{pooled.name} {AGAINST[verdict]} {pooled.baseline} over {dives}: {found}{left}."

@@ -39,11 +39,11 @@ def east_north_up_m(position: Floats, origin: Floats) -> Floats:
     return np.stack([wrap_angle(longitude) * (radius_east_m * cosine), latitude * radius_north_m, up_m], axis=-1)
 
 
-def moved_position(position: Floats, way_n: Floats) -> Floats:
+def moved_position(position: Floats, moved_n: Floats) -> Floats:
     """Move positions by short ways north, east, down, m: the inverse of `north_east_down_m`."""
     radius_north_m, radius_east_m, cosine = _radii_m(position)
-    north, east = way_n[..., 0] / radius_north_m, way_n[..., 1] / (radius_east_m * cosine)
-    return position + np.stack([north, east, -way_n[..., 2]], axis=-1)
+    north, east = moved_n[..., 0] / radius_north_m, moved_n[..., 1] / (radius_east_m * cosine)
+    return position + np.stack([north, east, -moved_n[..., 2]], axis=-1)
 
 
 def _radii_m(position: Floats) -> tuple[Floats, Floats, Floats]:
@@ -170,8 +170,8 @@ def steps_of(motion: ReferenceColumns) -> Steps:
         # Trapezoids alone would cut the corners of a turn, by 0.7 % at 17 deg a step. The change of the acceleration is
         # the next term of Euler and Maclaurin.
         step_s, acceleration = np.diff(velocity_s), np.gradient(velocity, velocity_s)
-        way_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
-        summed_m = np.append(0.0, np.cumsum(way_m))
+        moved_m = 0.5 * (velocity[1:] + velocity[:-1]) * step_s - np.diff(acceleration) * step_s**2 / 12.0
+        summed_m = np.append(0.0, np.cumsum(moved_m))
         paused_s = np.append(0.0, np.cumsum(np.where(step_s > LONGEST_PAUSE_S, step_s, 0.0)))
         by_velocity_m = np.diff(np.interp(time_s, velocity_s, summed_m, np.nan, np.nan))
         by_velocity_m = np.where(np.diff(np.interp(time_s, velocity_s, paused_s)) > 0.0, np.nan, by_velocity_m)

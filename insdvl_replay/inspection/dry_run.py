@@ -21,7 +21,7 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
 from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.inspection.inventory import Obstacle, PingFacts, ReferenceFacts
+from insdvl_replay.inspection.inventory import Blocker, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import Table, read_sample, read_tables
@@ -60,7 +60,7 @@ class DryRun:
     deep: bool  # reads the messages whole, not only the first of each topic
     clocks: list[Clock] = field(default_factory=list)  # of the topics with a role, then of the others
     notes: list[Note] = field(default_factory=list)
-    obstacles: list[Obstacle] = field(default_factory=list)
+    blockers: list[Blocker] = field(default_factory=list)
     pings: PingFacts | None = None
     reference: ReferenceFacts | None = None
     warned: set[str] = field(default_factory=set)  # of several topics for one role, those of which there is a warning
@@ -193,7 +193,7 @@ class DryRun:
         self.notes.append(Note("candidate", text, 1, Severity.WARNING, self._hint(error.hint)))
 
     def _add_blocker(self, error: UserError) -> None:
-        self.obstacles.append(Obstacle(error.message, self._hint(error.hint)))
+        self.blockers.append(Blocker(error.message, self._hint(error.hint)))
 
 
 # --- Topics of unknown types: vectors and beams by name and size, and single numbers.
@@ -286,7 +286,7 @@ def time_paths(known: Kinds) -> list[str]:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class FieldMatch:
     """A vector or beams, seen in the first messages."""
 
     path: str
@@ -317,7 +317,7 @@ class ProbedTopic:
 
     channel: LogChannel
     known: Kinds  # every path with its type
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[FieldMatch, ...]
     scalars: dict[str, float]  # the median of each single number
 
     @property
@@ -325,7 +325,7 @@ class ProbedTopic:
         """Its name."""
         return self.channel.topic
 
-    def likely(self, quantity: str) -> list[Candidate]:
+    def likely(self, quantity: str) -> list[FieldMatch]:
         """Return what could be a quantity by its name and number; of a specific force by its size, if none is named so.
 
         A ``vector`` has any name that is not that of something else.
@@ -371,7 +371,7 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
     # In JSON without schema only the messages show which fields there are.
     for block in blocks[:1]:
         reader.columns(block)
-    candidates: list[Candidate] = []
+    candidates: list[FieldMatch] = []
     scalars: dict[str, float] = {}
     paths = [*vector_paths(reader.known), *scalar_paths(reader.known)][: _MOST_WORK // max(len(reader.known), 1)]
     for path in paths:
@@ -385,7 +385,7 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
         finite = every[np.isfinite(every).all(axis=1)]
         if len(finite) and width in _WIDTHS:
             sizes = np.linalg.norm(finite, axis=1)
-            candidates.append(Candidate(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())))
+            candidates.append(FieldMatch(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())))
         elif len(finite) and width == 1:
             scalars[path] = float(np.median(finite))
     return ProbedTopic(channel, reader.known, tuple(candidates), scalars), len(paths)

@@ -88,7 +88,7 @@ class ReferenceFacts:
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Blocker:
     """What would stop a replay: the error that ``run`` would end with."""
 
     message: str
@@ -107,11 +107,11 @@ class Inventory:
     clocks: tuple[Clock, ...] = ()
     pings: PingFacts | None = None  # this and the reference only where the messages were read whole
     reference: ReferenceFacts | None = None
-    obstacles: tuple[Obstacle, ...] = ()  # empty where nothing was found that would stop a replay
+    blockers: tuple[Blocker, ...] = ()  # empty where nothing was found that would stop a replay
     notes: tuple[Note, ...] = field(default=())
     configuration: str = ""  # TOML to start from where something stops a replay
     decisions: tuple[str, ...] = ()  # its keys about which a person must decide
-    remaining: tuple[Obstacle, ...] = ()  # what stops a replay with it too, besides decisions without a value
+    remaining: tuple[Blocker, ...] = ()  # what stops a replay with it too, besides decisions without a value
 
 
 # --- For people, and for scripts.
@@ -163,9 +163,9 @@ def inspection_result(inventory: Inventory) -> Result:
         )
         found.append(Remark(text))
     found += [Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes]
-    found += [Remark(f"stops a replay: {blocker.message}", blocker.hint) for blocker in inventory.obstacles]
+    found += [Remark(f"stops a replay: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
     verdict = "can be replayed"
-    if count := len(inventory.obstacles):
+    if count := len(inventory.blockers):
         verdict = f"cannot be replayed as it is: {count} {'thing' if count == 1 else 'things'} to settle first"
     elif inventory.reading == Reading.SAMPLE:
         verdict = "nothing seen that would stop a replay; --deep reads the messages whole"
@@ -175,7 +175,7 @@ def inspection_result(inventory: Inventory) -> Result:
     if inventory.configuration:
         left = [Remark(f"to decide in it: {', '.join(inventory.decisions)}")] if inventory.decisions else []
         for blocker in inventory.remaining:
-            hint = "" if blocker in inventory.obstacles else blocker.hint
+            hint = "" if blocker in inventory.blockers else blocker.hint
             left.append(Remark(f"stops a replay with it too: {blocker.message}", hint))
         left = left or [Remark("nothing is left open in it")]
         proposal = (Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), Sentences(tuple(left)))
@@ -198,7 +198,7 @@ def inventory_csv(inventory: Inventory) -> str:
         "pings": [known["pings"]] if known["pings"] else [],
         "reference": [known["reference"]] if known["reference"] else [],
         "notes": known["notes"],
-        "obstacles": known["obstacles"],
+        "blockers": known["blockers"],
         "conventions": [
             {"topic": topic, "key": key, "value": value}
             for topic, keys in inventory.conventions.items()

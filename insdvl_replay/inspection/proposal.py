@@ -39,14 +39,14 @@ from insdvl_replay.core.states import (
 from insdvl_replay.geometry.frames import MAT_FRD_FLU
 from insdvl_replay.inspection.dry_run import (
     AS_GRAVITY_MPS2,
-    Candidate,
     DryRun,
+    FieldMatch,
     ProbedTopic,
     fitting_units,
     probe_topics,
     time_paths,
 )
-from insdvl_replay.inspection.inventory import Obstacle
+from insdvl_replay.inspection.inventory import Blocker
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import (
@@ -143,7 +143,7 @@ def comment_lines(text: str) -> list[str]:
     )
 
 
-def _fields(key: str, candidates: Sequence[Candidate], to_decide: str = "") -> Setting:
+def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> Setting:
     """Propose the first of some fields, with the others as what could stand in its place."""
     first, *others = candidates
     name = key.partition(".")[2]
@@ -522,7 +522,7 @@ class Proposal:
     """Settings that nobody has made yet."""
 
     settings: tuple[Setting, ...]
-    obstacles: tuple[Obstacle, ...] = ()  # what stops a replay with them too
+    blockers: tuple[Blocker, ...] = ()  # what stops a replay with them too
     notes: tuple[Note, ...] = ()
 
 
@@ -544,7 +544,7 @@ def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damag
 
 def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config) -> Proposal:
     """Propose what a replay lacks, by what was seen of the roles; else what settles a contradiction."""
-    if not seen.obstacles and not list(_start(findings, config.initial)):
+    if not seen.blockers and not list(_start(findings, config.initial)):
         contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
         sources = findings[_REFERENCE].sources if contradicted else ()
         return Proposal(tuple(setting for source in sources for setting in _measured_reference(log, source, config)))
@@ -561,7 +561,7 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
         text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
         hint = "name the topic of each role in the configuration"
         notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
-    return Proposal(tuple(settings), tuple(last.obstacles), tuple(notes))
+    return Proposal(tuple(settings), tuple(last.blockers), tuple(notes))
 
 
 def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:

@@ -17,7 +17,7 @@ from insdvl_replay.core.dive_columns import TimeNs, seconds
 from insdvl_replay.core.errors import Note, UserError
 from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
-from insdvl_replay.inspection.inventory import Inventory, LogFacts, Obstacle, RoleFacts, TopicFacts
+from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose, settings_toml, undecided_keys
 from insdvl_replay.logs.formats.log_file import by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
@@ -77,14 +77,14 @@ def inspect_log(
         clocks=tuple(seen.clocks),
         pings=seen.pings,
         reference=seen.reference,
-        obstacles=(*([Obstacle(damage.message, damage.hint)] if damage else []), *seen.obstacles),
+        blockers=(*([Blocker(damage.message, damage.hint)] if damage else []), *seen.blockers),
         notes=tuple(notes),
         configuration=settings_toml(proposal.settings),
         decisions=undecided_keys(proposal.settings),
-        remaining=proposal.obstacles,
+        remaining=proposal.blockers,
     )
     try:
-        if inventory.obstacles or not deep:
+        if inventory.blockers or not deep:
             # By what the types of the reference can give; of several, which is chosen decides what it gives.
             fields = {role.role: role.fields for role in inventory.roles}
             if not next(role.candidates for role in inventory.roles if role.role == "reference"):
@@ -106,7 +106,7 @@ def inspect_log(
         prepared = prepare_with_heading(with_reference_at_imu(dive, config), config)
         return replace(inventory, notes=(*dive.notes, *prepared.notes, *unused))
     except UserError as error:
-        return replace(inventory, obstacles=(*inventory.obstacles, Obstacle(error.message, error.hint)))
+        return replace(inventory, blockers=(*inventory.blockers, Blocker(error.message, error.hint)))
 
 
 def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:

@@ -32,11 +32,11 @@ from insdvl_replay.logs.columns.reference import (
     decode_solution,
     read_tum,
 )
-from insdvl_replay.logs.columns.sensors import decode_own_topic, decode_sensor
+from insdvl_replay.logs.columns.sensors import decode_log_topic, decode_sensor
 from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables, stamp_unit
 from insdvl_replay.logs.columns.topics import (
+    LOG_TOPIC,
     NEEDS,
-    OWN_TOPIC,
     Source,
     TopicRequirement,
     Topics,
@@ -193,8 +193,8 @@ class RoleColumns:
             self.sensors[role], notes = decode_sensor(role, tables.pop(), self.config)
         elif (name := solution_name(role)) is not None:
             self.solutions[name], notes = decode_solution(tables, self.config.solutions[name])
-        elif role.startswith(OWN_TOPIC):
-            self.topics[role.removeprefix(OWN_TOPIC)], notes = decode_own_topic(tables.pop())
+        elif role.startswith(LOG_TOPIC):
+            self.topics[role.removeprefix(LOG_TOPIC)], notes = decode_log_topic(tables.pop())
         else:
             self.truth, notes = decode_truth(tables.pop())
         return notes
@@ -232,7 +232,7 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
     sensors = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
     for name, section in config.topics.items():
-        sensors.append(needed(requirement(f"{OWN_TOPIC}{name}", section, "topic")))
+        sensors.append(needed(requirement(f"{LOG_TOPIC}{name}", section, "topic")))
     for name, settings in config.solutions.items():
         if settings.topic is None:
             continue

@@ -399,7 +399,7 @@ def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch
         }
         batches.append(stamped(f"{topic}/state", "insdvl_msgs/msg/FilterState", history.time_ns, NED, columns))
         odometry = [_odometry_batch(topic, motion, origin), _fix_batch(topic, motion)]
-    if history.believed.any():
+    if history.predicted.any():
         columns = {
             f"{state.id}_{_UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor for state in STATES
         }

@@ -116,17 +116,17 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
         "position.latitude, position.longitude and position.angle_unit; or initial.latitude_deg and longitude_deg",
     ),
     # User-defined measurements.
-    "own_measurement_plain": (
+    "user_measurement_plain": (
         WARNING,
         "the prediction of {plugin} cannot be compiled, and runs as it is: the filter takes long",
         "numbers, loops and numpy's functions of numbers can be compiled",
     ),
-    "own_measurement_jacobian unwritten": (
+    "user_measurement_jacobian unwritten": (
         WARNING,
         "{plugin} leaves {left} at zero where filters.{filter} starts: its readings change nothing there",
         "H is the change of z by what the INS is off: docs/own_filter.md has columns and signs",
     ),
-    "own_measurement_jacobian wrong": (
+    "user_measurement_jacobian wrong": (
         WARNING,
         "H of {plugin} contradicts its z where filters.{filter} starts: H[{row}, {column}] is {given:.3g}, and z "
         "changes by {found:.3g}",
@@ -136,7 +136,7 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     "solution_turned": (
         INFO, "{key}: turned by {turn:+.2f} deg to the heading of {baseline} at its first attitude", ""
     ),
-    "solution_laid": (
+    "solution_aligned": (
         INFO,
         "{key}: its positions{origin} are laid on {baseline} at the first of them, {since:.2f} s after the start"
         "{moved}",

@@ -103,7 +103,7 @@ def prepare_user_measurements(
     for number, plugin in enumerate(order):
         predict = by_compiled if plugin in compiled else by_all
         found[plugin] = replace(found[plugin], kind=USER + number, predict=predict)
-    uncompiled = [note("own_measurement_plain", plugin=plugin) for plugin in plugins if plugin not in compiled]
+    uncompiled = [note("user_measurement_plain", plugin=plugin) for plugin in plugins if plugin not in compiled]
     return found, (*uncompiled, *dict.fromkeys(notes))
 
 
@@ -214,7 +214,7 @@ def _tried_prediction(
     unwritten = np.flatnonzero((z == 0.0) & ~H.any(axis=1))
     if len(unwritten) or not H.any():
         left = f"z[{unwritten[0]}] and H[{unwritten[0]}]" if H.any() else "H"
-        notes.append(note("own_measurement_jacobian unwritten", left=left, **at))
+        notes.append(note("user_measurement_jacobian unwritten", left=left, **at))
     known = np.isfinite(differences)
     with np.errstate(invalid="ignore"):
         largest = np.abs(differences).max(axis=1, initial=0.0, where=known, keepdims=True)
@@ -224,7 +224,7 @@ def _tried_prediction(
         row, column = wrong[0]
         given, found = H[row, column], differences[row, column]
         notes.append(
-            note("own_measurement_jacobian wrong", len(wrong), row=row, column=column, given=given, found=found, **at)
+            note("user_measurement_jacobian wrong", len(wrong), row=row, column=column, given=given, found=found, **at)
         )
     return bool(np.any(np.abs(H[:, DOWN]) > 0.5)), notes
 

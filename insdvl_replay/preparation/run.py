@@ -21,7 +21,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
 from insdvl_replay.evaluation.drift import HeadingFit, heading_fit
-from insdvl_replay.evaluation.evaluate import judged_times, with_solutions
+from insdvl_replay.evaluation.evaluate import evaluated_times, with_solutions
 from insdvl_replay.evaluation.outage_test import (
     OutagePlan,
     OutageRun,
@@ -134,7 +134,7 @@ def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | N
     span = prepared.alignment.start_ns, prepared.end_ns
     starts = config.evaluation.starts if starts is None else starts
     return RunPlan(
-        judged_times(dive.reference, *span, filters=len(config.filters)),
+        evaluated_times(dive.reference, *span, filters=len(config.filters)),
         plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, *span),
         starts if dive.reference is not None else 0,
         config.evaluation.seed,

@@ -55,7 +55,7 @@ def recorded_history(
             f"{key} gives no attitude by which {key}.lever_arm_m could move it to the IMU",
             f"--set {key}.lever_arm_m=[0,0,0], and its errors hold the lever arm",
         )
-    mat_br, has_own_origin = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG), solution.way_n is not None
+    mat_br, has_own_origin = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG), solution.moved_n is not None
     align = settings.align or ("position" if has_own_origin else "none")
     if align == "heading":
         at_ns = _first_ns(solution.motion, "attitudes", key, baseline)
@@ -70,7 +70,7 @@ def recorded_history(
         position[:, 1] = origin[1] + wrap_angle(position[:, 1] - origin[1])
         return position
 
-    rows = solution.motion.position if solution.way_n is None else solution.way_n
+    rows = solution.motion.position if solution.moved_n is None else solution.moved_n
     motion = replace(solution.motion, position=in_blocks(geographic, rows, np.empty(rows.shape)))
     motion = reference_at_imu(motion, imu, np.array(settings.lever_arm_m), mat_br)
     if align != "none" and motion.has_position:
@@ -89,7 +89,7 @@ def recorded_history(
         moved = "" if has_own_origin else f", {np.linalg.norm(shift_n):.3g} m from where it was"
         since_s = (at_ns - int(baseline.time_ns[0])) / NS_PER_S
         notes.append(
-            note("solution_laid", key=key, origin=from_own, baseline=baseline.filter, since=since_s, moved=moved)
+            note("solution_aligned", key=key, origin=from_own, baseline=baseline.filter, since=since_s, moved=moved)
         )
     history = _history(name, replace(solution, motion=motion), baseline, evaluated_ns, is_turned=align == "heading")
     return history, motion.without_attitude(), (*notes, *_coverage_notes(key, motion, history))
@@ -161,17 +161,17 @@ def _heading_at(time_ns: TimeNs, mat_nb: Floats, at_ns: int) -> float:
 
 def _turned(solution: SolutionColumns, mat: Floats) -> SolutionColumns:
     """Turn a solution about down; geographic positions about the first of them."""
-    motion, way_n = solution.motion, solution.way_n
+    motion, moved_n = solution.motion, solution.moved_n
     position = motion.position
-    if way_n is not None:
-        way_n = way_n @ mat.T
+    if moved_n is not None:
+        moved_n = moved_n @ mat.T
     elif motion.has_position:
         first = np.broadcast_to(position[int(np.argmax(motion.known["positions"]))], position.shape)
         position = moved_position(first, north_east_down_m(position, first) @ mat.T)
     turned = replace(motion, position=position, velocity_n=motion.velocity_n @ mat.T, mat_nb=mat @ motion.mat_nb)
     # Block by block: a block that is NaN leaves the others as they are.
     blocks = np.einsum("ik,cakbl,jl->caibj", mat, solution.cov.reshape(-1, 3, 3, 3, 3), mat)
-    return replace(solution, motion=turned, way_n=way_n, cov=blocks.reshape(solution.cov.shape))
+    return replace(solution, motion=turned, moved_n=moved_n, cov=blocks.reshape(solution.cov.shape))
 
 
 def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[NDArray[np.int64], Floats]:
@@ -231,6 +231,6 @@ def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Ite
         names = " and ".join(quantities)
         yield note("solution_coverage", len(quantities), key=key, quantities=names, percent=percent)
     blocks = {"velocity": slice(0, 3), "attitude": slice(3, 6), "position": POSITION}
-    lacking = [block for block, states in blocks.items() if not history.believed[states].any()]
+    lacking = [block for block, states in blocks.items() if not history.predicted[states].any()]
     if lacking:
         yield note("solution_without_covariance", len(lacking), key=key, quantities=" and ".join(lacking))

@@ -117,7 +117,7 @@ def _log_lines(report: Report) -> Iterator[str]:
             yield f"filter {row.filter}: {row.rejected} readings of {sensor} withheld, and compared alone"
         elif is_whole(row.measurement):
             yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
-    yield from (candidate.verdict for candidate in report.filters.values())
+    yield from (candidate.sentence for candidate in report.filters.values())
     if not has_reference(report):
         yield NO_REFERENCE
     for note in report.notes:

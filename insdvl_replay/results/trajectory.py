@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import require_known
-from insdvl_replay.core.result import BELIEVED, Curve, Figure, Panel, Row, filter_style
+from insdvl_replay.core.result import PREDICTED, Curve, Figure, Panel, Row, filter_style
 from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
@@ -44,7 +44,7 @@ class Trajectory:
     names: tuple[str, ...]  # of the filters; the first is the baseline
     time_s: Floats  # (k,), from the start of the replay
     values: Floats  # (filters, k, columns), in the order of `COLUMNS`; NaN where nothing is known
-    # Measured convergence, SI units: QUANTITY_time_s (g,), QUANTITY_rms and QUANTITY_believed (filters, g).
+    # Measured convergence, SI units: QUANTITY_time_s (g,), QUANTITY_rms and QUANTITY_predicted (filters, g).
     curves: Mapping[str, Floats] = field(default_factory=dict)
 
     def of(self, name: str, column: str) -> Floats:
@@ -100,7 +100,7 @@ def trajectory_of(replay: "Replay") -> Trajectory:
         unknown = np.full(len(curve.time_s), np.nan)  # of a solution that was read
         curves[f"{quantity}_time_s"] = curve.time_s
         curves[f"{quantity}_rms"] = np.stack([curve.rms.get(name, unknown) for name in names])
-        curves[f"{quantity}_believed"] = np.stack([curve.believed.get(name, unknown) for name in names])
+        curves[f"{quantity}_predicted"] = np.stack([curve.predicted.get(name, unknown) for name in names])
     return Trajectory(replay.dive.sha256, names, (grid_ns - replay.start_ns) / NS_PER_S, np.stack(values), curves)
 
 
@@ -189,17 +189,17 @@ def paper_figure(kind: str, trajectory: Trajectory, outage: Sequence[Row], state
                     np.array([_number(row.get(column)) for row in rows]) for column in ("drift_median_m", "drift_p95_m")
                 )
                 style = filter_style(number)
-                thin = Curve(at_s, p95_m, f"{style} {BELIEVED}")
+                thin = Curve(at_s, p95_m, f"{style} {PREDICTED}")
                 curves.append([Curve(at_s, median_m, style), Curve(at_s, median_m, style, points=True), thin])
             title, axes = "drift [m], median and 95 %", {"x_scale": "log", "y_scale": "log"}
             panel(title, "time without DVL [s]", curves, **axes)
         case "convergence":
             for quantity, (title, unit) in _CONVERGED.items():
                 if (time_s := trajectory.curves.get(f"{quantity}_time_s")) is not None:
-                    rms, believed = (trajectory.curves[f"{quantity}_{kind}"] / unit for kind in ("rms", "believed"))
+                    rms, predicted = (trajectory.curves[f"{quantity}_{kind}"] / unit for kind in ("rms", "predicted"))
                     styles = [filter_style(number) for number in range(len(names))]
                     curves = [
-                        [Curve(time_s, rms[i], style), Curve(time_s, believed[i], f"{style} {BELIEVED}")]
+                        [Curve(time_s, rms[i], style), Curve(time_s, predicted[i], f"{style} {PREDICTED}")]
                         for i, style in enumerate(styles)
                     ]
                     panel(title, "time [s]", curves, y_scale="log")

@@ -41,8 +41,8 @@ from insdvl_replay.core.result import (
     Title,
     flattened,
 )
-from insdvl_replay.core.tables import TABLES, Candidate, EvidenceRow, Number, each_table, finite
-from insdvl_replay.core.words import Belief, Consistency, EvidenceWord, Judgement, ReferenceStatus
+from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, each_table, finite
+from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
 from insdvl_replay.show.document import (
@@ -51,7 +51,7 @@ from insdvl_replay.show.document import (
     Column,
     counted,
     decimal,
-    losses,
+    notes_table,
     number,
     percent,
     shown,
@@ -74,13 +74,13 @@ MEANS: Final = (
 )
 """What is in the columns of candidates."""
 TONES: Final[dict[str, str]] = {
-    Judgement.BETTER: "good",
-    Judgement.MIXED: "bad",
-    Judgement.WORSE: "bad",
-    Judgement.NOT_EVALUATED: "bad",
+    Verdict.BETTER: "good",
+    Verdict.MIXED: "bad",
+    Verdict.WORSE: "bad",
+    Verdict.NOT_EVALUATED: "bad",
 }
 """The colours of the words on a candidate."""
-LOUD: Final = (Judgement.BETTER, Judgement.WORSE, Judgement.MIXED, Judgement.NOT_EVALUATED)
+LOUD: Final = (Verdict.BETTER, Verdict.WORSE, Verdict.MIXED, Verdict.NOT_EVALUATED)
 """Words that are written in capitals."""
 
 
@@ -102,9 +102,9 @@ def has_reference(report: Report) -> bool:
     return any(word != ReferenceStatus.NO_REFERENCE for word in found)
 
 
-def shouted(judgement: str) -> str:
+def shouted(verdict: str) -> str:
     """Write a judgement that nobody may overlook in capitals."""
-    return judgement.upper() if judgement in LOUD else judgement
+    return verdict.upper() if verdict in LOUD else verdict
 
 
 def ratio_text(value: Number) -> str:
@@ -117,9 +117,9 @@ def interval_text(low: Number, high: Number) -> str:
     return MISSING if low is None or high is None else f"{ratio_text(low)} .. {ratio_text(high)}"
 
 
-def word_in_table(row: EvidenceRow) -> str:
+def verdict_in_table(row: EvidenceRow) -> str:
     """Return the word on a piece of evidence, in brackets where it has no vote."""
-    return row.word if row.quantity in DECIDING or not row.word else f"({row.word})"
+    return row.verdict if row.quantity in DECIDING or not row.verdict else f"({row.verdict})"
 
 
 # --- Tables.
@@ -166,10 +166,10 @@ def glance_table(report: Report) -> DisplayTable:
     """Lay out each candidate's verdicts and its measured and predicted improvement, as far as known."""
     known, rows = has_reference(report), []
     for name, candidate in report.filters.items():
-        *gains, belief = gain_cells(report, name)
-        trust = (belief, candidate.consistency, candidate.credibility or MISSING)
-        rows.append((name, *gains, *(trust if known else trust[1:2])))
-    header = ("filter", "judgement", "measured", "believed", *(("belief",) if known else ()), "innovations")
+        *gains, prediction = gain_cells(report, name)
+        consistency_words = (prediction, candidate.consistency, candidate.credibility or MISSING)
+        rows.append((name, *gains, *(consistency_words if known else consistency_words[1:2])))
+    header = ("filter", "verdict", "measured", "predicted", *(("prediction",) if known else ()), "innovations")
     words = "innovations and errors" if known else "innovations"
     return DisplayTable(
         "At a glance",
@@ -183,11 +183,11 @@ def glance_table(report: Report) -> DisplayTable:
 def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
     """Write what a candidate gains: the judgement, measured and predicted improvement, and whether it is confirmed."""
     candidate = report.filters[name]
-    if candidate.improvement == Judgement.NOT_EVALUATED:
-        return Judgement.NOT_EVALUATED, MISSING, MISSING, MISSING
+    if candidate.verdict == Verdict.NOT_EVALUATED:
+        return Verdict.NOT_EVALUATED, MISSING, MISSING, MISSING
     first = next((row for row in report.tables.evidence if row.filter == name and row.evidence != CONSISTENT), None)
     measured = MISSING if first is None or first.ratio is None else percent(100.0 * (1.0 - first.ratio))
-    return candidate.improvement, measured, percent(candidate.mean_improvement_pct), candidate.belief or MISSING
+    return candidate.verdict, measured, percent(candidate.mean_improvement_pct), candidate.prediction or MISSING
 
 
 def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
@@ -196,7 +196,7 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
     for layout, rows in each_table(report.tables):
         kept: list[Any] = list(filter(_SHOWN_ROWS.get(layout.name), rows))
         if layout.name == "evidence":
-            kept = [replace(row, word=word_in_table(row)) for row in kept]
+            kept = [replace(row, verdict=verdict_in_table(row)) for row in kept]
         elif layout.name == "drift":
             quantities = list(dict.fromkeys(row.quantity for row in kept))
             kept.sort(key=lambda row: quantities.index(row.quantity))
@@ -354,7 +354,7 @@ def dive_document(
     return [
         Only(PRINTED, (Title(heading(report)),)),
         Only(PAGE, (Title(_replayed(report)),)),
-        *(Callout(candidate.verdict, TONES.get(candidate.improvement, "")) for candidate in report.filters.values()),
+        *(Callout(candidate.sentence, TONES.get(candidate.verdict, "")) for candidate in report.filters.values()),
         *headline_table(report, "This run: position error and drift without DVL", SPECIFIED),
         *first,
         Only(PAGE, tuple(by_candidate)),
@@ -374,11 +374,11 @@ def heading(report: Report) -> str:
     """State in one line what was replayed, and what has become of each predicted improvement."""
     texts = [_replayed(report)]
     for name, candidate in report.filters.items():
-        loud = candidate.improvement in (Judgement.WORSE, Judgement.NOT_EVALUATED)
-        word = candidate.improvement.upper() if loud else candidate.improvement
-        if candidate.improvement != Judgement.NOT_EVALUATED:
-            belief = f", {candidate.belief}" if candidate.belief != Belief.UNDECIDED else ""
-            word = f"{word}; {percent(candidate.mean_improvement_pct)} believed{belief}"
+        loud = candidate.verdict in (Verdict.WORSE, Verdict.NOT_EVALUATED)
+        word = candidate.verdict.upper() if loud else candidate.verdict
+        if candidate.verdict != Verdict.NOT_EVALUATED:
+            prediction = f", {candidate.prediction}" if candidate.prediction != Prediction.UNDECIDED else ""
+            word = f"{word}; {percent(candidate.mean_improvement_pct)} believed{prediction}"
         texts.append(f"{name}: {word}")
     return "; ".join(texts)
 
@@ -390,15 +390,15 @@ def _replayed(report: Report) -> str:
 
 def closing_lines(report: Report) -> tuple[str, ...]:
     """State for each candidate what its mean improvement is, and whose opinion that is."""
-    trust = "reference error and consistency" if has_reference(report) else "outage and consistency"
+    consistency_words = "reference error and consistency" if has_reference(report) else "outage and consistency"
     return tuple(
         f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
-        f"own covariance; see {trust}), "
+        f"own covariance; see {consistency_words}), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner "
         f"({percent(means.mean_convergence_unchanged_pct)} without any change; by the nearest approach "
         f"{percent(means.mean_nearest_approach_improvement_pct)})"
         for name, means in report.filters.items()
-        if means.improvement != Judgement.NOT_EVALUATED
+        if means.verdict != Verdict.NOT_EVALUATED
     )
 
 
@@ -438,7 +438,7 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
             [Heading("Figures"), *figures, Html(sensors)],
             [
                 Heading("What was lost or assumed"),
-                losses(report.notes),
+                notes_table(report.notes),
                 Heading("Provenance"),
                 facts(origin),
                 channels,
@@ -471,22 +471,22 @@ def _bars(report: Report) -> Iterator[str]:
     for name, found in known.items():
         rows += f'<tr><th scope="rowgroup" colspan="4"><b>{escape(visible(name))}</b></th></tr>'
         # Next to several candidates there is room for the mean, and for one of the states that have a measured error.
-        for title, believed_pct, measured_pct in found[: _MOST_GAINS if len(known) > 1 else None]:
+        for title, predicted_pct, measured_pct in found[: _MOST_GAINS if len(known) > 1 else None]:
             bars = ""
-            for style, value_pct, top in (("believed", believed_pct, 1), ("measured", measured_pct, 9)):
+            for style, value_pct, top in (("predicted", predicted_pct, 1), ("measured", measured_pct, 9)):
                 if value_pct is not None:
                     end = max(-_FULL_PCT, min(_FULL_PCT, value_pct))
                     place = f'x="{min(0.0, end):.1f}" y="{top}" width="{abs(end):.1f}" height="6"'
                     bars += f'<rect class="{style}" {place}/>'
             rows += (
-                f'<tr><th scope="row">{escape(title)}</th><td class="r">{percent(believed_pct)}</td>'
+                f'<tr><th scope="row">{escape(title)}</th><td class="r">{percent(predicted_pct)}</td>'
                 f'<td class="r">{percent(measured_pct)}</td><td class="axis"><svg viewBox="-100 0 200 16" '
                 f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
             )
     if known:
         yield (
-            '<section><h3>smaller errors, <b>believed</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
-            '<tr><th>quantity</th><th class="r">believed</th><th class="r">measured</th><th class="axis">'
+            '<section><h3>smaller errors, <b>predicted</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
+            '<tr><th>quantity</th><th class="r">predicted</th><th class="r">measured</th><th class="axis">'
             "<span>&minus;100&nbsp;%</span><span>0</span><span>100&nbsp;%</span></th></tr></thead>"
             f"<tbody>{rows}</tbody></table></section>"
         )
@@ -494,16 +494,16 @@ def _bars(report: Report) -> Iterator[str]:
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
     """Yield label, predicted and measured improvement in percent, of what has both: first the mean."""
-    if report.filters[name].improvement == Judgement.NOT_EVALUATED:
+    if report.filters[name].verdict == Verdict.NOT_EVALUATED:
         return
     measured = {
         row.quantity: 100.0 * (1.0 - row.ratio)
         for row in report.tables.evidence
         if row.filter == name and row.evidence in ("accuracy", "outage") and row.ratio is not None
     }
-    believed_pct = report.filters[name].mean_improvement_pct
-    for quantity, measured_pct in list(measured.items())[:1] if believed_pct is not None else ():
-        yield f"mean / {label(quantity)}", believed_pct, measured_pct
+    predicted_pct = report.filters[name].mean_improvement_pct
+    for quantity, measured_pct in list(measured.items())[:1] if predicted_pct is not None else ():
+        yield f"mean / {label(quantity)}", predicted_pct, measured_pct
     for row in _of(name, report.tables.improvement):
         quantity = _MEASURED_BY.get(row.state, "")
         if quantity in measured:
@@ -557,10 +557,10 @@ def _facts(report: Report) -> str:
 
 def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
     candidate, baseline = report.filters[name], report.baseline
-    judgement = candidate.improvement
-    word = Callout(f"{name} against {baseline}: {shouted(judgement)}", TONES.get(judgement, ""))
-    if judgement == Judgement.NOT_EVALUATED:
-        yield Sentences((word, candidate.verdict))
+    verdict = candidate.verdict
+    word = Callout(f"{name} against {baseline}: {shouted(verdict)}", TONES.get(verdict, ""))
+    if verdict == Verdict.NOT_EVALUATED:
+        yield Sentences((word, candidate.sentence))
         return
     yield Sentences((word, _prediction_line(candidate)))
     evidence = _of(name, report.tables.evidence)
@@ -574,7 +574,7 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
             ("on this dive", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
             ("n", "r", "effective_samples:0"),
             ("p", "r", lambda row: decimal(row.p, 3).removeprefix("0")),
-            ("", "l", word_in_table),
+            ("", "l", verdict_in_table),
         )
         yield table_of("", rows, columns, spare=(6, 2, 3, 1, 5, 7))
     sizes = ""
@@ -585,7 +585,7 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
     yield f"{trust_sentence(report.tables, name, baseline)}{sizes}"
 
 
-def _prediction_line(candidate: Candidate) -> str:
+def _prediction_line(candidate: CandidateVerdict) -> str:
     """State what a candidate predicts to gain, and what has become of that."""
     if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
         return "it was read, not run: what it believes is told of some states, or of none"
@@ -597,18 +597,19 @@ def _prediction_line(candidate: Candidate) -> str:
     zero = "" if unchanged is None or not math.isfinite(unchanged) else f" ({percent(unchanged)} without any change)"
     errors = gained(candidate.mean_improvement_pct, "smaller", "larger")
     convergence = gained(candidate.mean_convergence_improvement_pct, "faster", "slower")
-    return f"it believes in {errors} errors, {convergence} convergence{zero}: {candidate.belief or Belief.UNDECIDED}"
+    prediction = candidate.prediction or Prediction.UNDECIDED
+    return f"predicted: {errors} errors, {convergence} convergence{zero}: {prediction}"
 
 
 def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
     """Choose pieces of evidence: what decided, the first of each kind and what was withheld, and what has room."""
     known = [row for row in rows if row.baseline is not None or row.value is not None]
-    decided = (EvidenceWord.BETTER, EvidenceWord.WORSE)
+    decided = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
     first = {row.evidence: row.quantity for row in reversed(known)}
 
     def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
         return (
-            not (row.quantity in DECIDING and row.word in decided),
+            not (row.quantity in DECIDING and row.verdict in decided),
             row.quantity not in (first[row.evidence], *HELD_OUT_QUANTITIES),
             row.quantity not in _CHOSEN,
             row.quantity not in DECIDING_TOGETHER,
@@ -622,11 +623,11 @@ def _many(report: Report) -> list[Part]:
     """Lay out many candidates, a row each: the piece of evidence that decided, or could have."""
     rows = []
     for name, candidate in report.filters.items():
-        judgement, cells, believed = Judgement(candidate.improvement), (MISSING,) * 3, (MISSING, "")
-        if judgement != Judgement.NOT_EVALUATED:
-            believed = (percent(candidate.mean_improvement_pct), candidate.belief)
-            for row in list(spoken_of(judgement, _of(name, report.tables.evidence)))[:1]:
+        verdict, cells, predicted = Verdict(candidate.verdict), (MISSING,) * 3, (MISSING, "")
+        if verdict != Verdict.NOT_EVALUATED:
+            predicted = (percent(candidate.mean_improvement_pct), candidate.prediction)
+            for row in list(spoken_of(verdict, _of(name, report.tables.evidence)))[:1]:
                 cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high))
-        rows.append((name, shouted(judgement), *cells, *believed))
-    header = ("filter", f"against {report.baseline}", "by", "ratio", "on this dive", "believed", "")
+        rows.append((name, shouted(verdict), *cells, *predicted))
+    header = ("filter", f"against {report.baseline}", "by", "ratio", "on this dive", "predicted", "")
     return [Sentences(()), DisplayTable("", header, "lllrrrl", tuple(rows), spare=(4, 5, 6, 2))]

@@ -12,7 +12,7 @@ from insdvl_replay.core.errors import natural_key
 from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, is_whole, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import PooledRow, finite
-from insdvl_replay.core.words import GateStatus, Judgement, Severity
+from insdvl_replay.core.words import GateStatus, Severity, Verdict
 from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
 from insdvl_replay.show.dive import (
     MEANS,
@@ -52,7 +52,7 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
     reports, found = _reports(outcomes), []
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         having = [report for report in reports if name in report.filters]
-        evaluated = [report for report in having if report.filters[name].improvement != Judgement.NOT_EVALUATED]
+        evaluated = [report for report in having if report.filters[name].verdict != Verdict.NOT_EVALUATED]
         rows = [[row for row in report.tables.evidence if row.filter == name] for report in evaluated]
         baselines = " or ".join(sorted({report.baseline for report in having}))
         if len(having) > 1:
@@ -89,13 +89,13 @@ def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
     rows = []
     for found in pooled:
         # The piece of evidence that decided, or could have.
-        spoken = spoken_of(found.judgement, found.rows, DECIDING_TOGETHER)
+        spoken = spoken_of(found.verdict, found.rows, DECIDING_TOGETHER)
         cells = (MISSING,) * 5
-        if found.judgement != Judgement.NOT_EVALUATED and spoken:
+        if found.verdict != Verdict.NOT_EVALUATED and spoken:
             row = spoken[0]
             won, p = f"{row.dives_won}/{row.dives}", f"{finite(row.p):.2g}"
             cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high), won, p)
-        rows.append((found.name, shouted(found.judgement), *cells))
+        rows.append((found.name, shouted(found.verdict), *cells))
     if pooled:
         baselines = " or ".join(dict.fromkeys(found.baseline for found in pooled))
         header = (f"against {baselines}", "all dives", "by", "ratio", "over dives", "won", "p")
@@ -131,7 +131,7 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
                 texts = [*values, ratio_text(row.ratio), interval_text(row.low, row.high)]
             candidate = outcome.filters.get(name)
             cells += texts if len(names) == 1 else texts[2:3]
-            cells.append(shouted(candidate.improvement) if candidate else MISSING)
+            cells.append(shouted(candidate.verdict) if candidate else MISSING)
         rows.append(tuple(cells))
         if found:
             largest[outcome.log.name] = max(finite(row.ratio) for row in found.values())
@@ -161,7 +161,7 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
 
 COLUMNS: Final = (
     "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
-    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "belief", "verdicts",
+    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "prediction", "verdicts",
     "status", "reason",
 )  # fmt: skip
 
@@ -179,13 +179,13 @@ def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
             continue
         for name, candidate in outcome.filters.items():
             gains = (candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct)
-            if candidate.improvement == Judgement.NOT_EVALUATED:
+            if candidate.verdict == Verdict.NOT_EVALUATED:
                 gains = (None, None)
             positions = (*_position_rmse(outcome, name, "position_h"), *_position_rmse(outcome, name, "position_h_pct"))
             measured = [row for row in outcome.tables.consistency if row.filter == name and is_whole(row.measurement)]
             verdicts = [f"{row.measurement} {row.verdict}" for row in measured]
             verdicts += [f"errors {candidate.credibility}"] if candidate.credibility else []
-            words = (candidate.improvement, candidate.belief, "; ".join(verdicts), "done", None)
+            words = (candidate.verdict, candidate.prediction, "; ".join(verdicts), "done", None)
             rows.append((outcome.log.name, name, *gains, *positions, *words))
     return rows_csv(COLUMNS, rows).encode()
 
@@ -230,9 +230,9 @@ def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
     yield Title(f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else ""))
     for report in _reports(outcomes):
         for name, candidate in report.filters.items():
-            counts.setdefault(name, Counter())[candidate.improvement] += 1
+            counts.setdefault(name, Counter())[candidate.verdict] += 1
     for pooled in pooled_candidates(outcomes):
-        yield Callout(pooled_sentence(pooled), TONES.get(pooled.judgement, ""))
+        yield Callout(pooled_sentence(pooled), TONES.get(pooled.verdict, ""))
     found = (
         f"{name}: {', '.join(f'{count} {word}' for word, count in words.most_common())}"
         for name, words in counts.items()
@@ -242,7 +242,7 @@ def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
 
 
 _HEADER: Final = (
-    "dive", "filter", "judgement", "measured", "believed", "belief", "baseline\nposition [m]",
+    "dive", "filter", "verdict", "measured", "predicted", "prediction", "baseline\nposition [m]",
     "candidate\nposition [m]", "consistency", "warnings", "failed because",
 )  # fmt: skip
 _ALIGNMENT: Final = "lllrrlrrlrl"
@@ -262,8 +262,8 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
         for name, candidate in outcome.filters.items():
             positions = map(number, _position_rmse(outcome, name, "position_h"))
-            gains, trust = gain_cells(outcome, name), (candidate.consistency, str(warnings), "")
-            rows.append((outcome.log.name, name, *gains, *positions, *trust))
+            gains, consistency_words = gain_cells(outcome, name), (candidate.consistency, str(warnings), "")
+            rows.append((outcome.log.name, name, *gains, *positions, *consistency_words))
             links.append(f"{quote(outcome.log.name)}/{_PAGE}")
     known = any(has_reference(report) for report in _reports(outcomes))
     left_out = {*(() if known else _WITH_REFERENCE), *(() if _failed(outcomes) else (len(_HEADER) - 1,))}

@@ -135,7 +135,7 @@ def cell_lines(cell: CellText) -> list[str]:
     return [visible(line) for line in ([cell] if isinstance(cell, str) else cell)]
 
 
-def losses(notes: Iterable[Note]) -> DisplayTable | str:
+def notes_table(notes: Iterable[Note]) -> DisplayTable | str:
     """Return what was dropped, assumed or found odd, with counts."""
     rows = tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes)
     if not rows:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.result import (
-    BELIEVED,
     LIMIT,
+    PREDICTED,
     REFERENCE,
     REJECTED,
     Band,
@@ -223,8 +223,8 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
         names = list(found.rms)
         shown = found.time_s >= max(_FIRST_S, _FIRST * found.time_s[-1])
         time_s, limit = found.time_s[shown], found.limit / unit
-        believed = [
-            Curve(time_s, found.believed[name][shown] / unit, f"{filter_style(number)} {BELIEVED}")
+        predicted = [
+            Curve(time_s, found.predicted[name][shown] / unit, f"{filter_style(number)} {PREDICTED}")
             for number, name in enumerate(names)
         ]
         measured = _filter_curves([(name, time_s, found.rms[name][shown] / unit) for name in names])
@@ -236,7 +236,7 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
             for number, name in (*enumerate(names[1:], 1), (0, names[0]))
             if np.isfinite(reached_s.get(name, np.nan))
         ]
-        drawn = (*believed, *measured, *points)
+        drawn = (*predicted, *measured, *points)
         panels.append(Panel(title, "time [s]", drawn, levels=(limit,), y_scale="log", x_scale="log"))
     if panels:
         yield Figure(
@@ -247,7 +247,7 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
             tuple(panels),
             (
                 *_legend(names),
-                (f"{REFERENCE} {BELIEVED}", "what a filter believes of its error"),
+                (f"{REFERENCE} {PREDICTED}", "what a filter believes of its error"),
                 (LIMIT, f"rms of {names[0]} at the end, and one standard error more"),
             ),
         )
@@ -270,7 +270,7 @@ def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
     for state in STATES:
         highest, curves = 0.0, []
         for number, (history, (rows, pings)) in enumerate(zip(histories, shown, strict=True)):
-            if history.believed[state.index]:
+            if history.predicted[state.index]:
                 sd = history.sd[rows, state.index] / state.factor
                 highest = max(highest, _settled_height(sd[pings]))
                 time = clock.time(history.time_ns[rows])

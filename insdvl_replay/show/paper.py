@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import Figure, Panel
-from insdvl_replay.show.plot import BESIDE
+from insdvl_replay.show.plot import PANELS_IN_A_ROW
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,7 +57,7 @@ def require_matplotlib() -> None:
 
 def figure_png(figure: Figure) -> bytes:
     """Draw a figure for slides, under its title."""
-    return drawn(figure, "png", _SLIDE_MM * max(min(BESIDE, len(figure.panels)), 2), headed=True)
+    return drawn(figure, "png", _SLIDE_MM * max(min(PANELS_IN_A_ROW, len(figure.panels)), 2), headed=True)
 
 
 def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False) -> bytes:
@@ -70,7 +70,7 @@ def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False
     from matplotlib.figure import Figure as Canvas
     from matplotlib.lines import Line2D
 
-    columns = min(len(figure.panels), 1 if width_mm < 120.0 else BESIDE)
+    columns = min(len(figure.panels), 1 if width_mm < 120.0 else PANELS_IN_A_ROW)
     rows, width = math.ceil(len(figure.panels) / columns), width_mm / _MM_PER_INCH
     stream = BytesIO()  # the writer of PDF loses the reason where a disk is full
     with style.context(["default", _STYLE]):
@@ -83,7 +83,7 @@ def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False
         handles = [Line2D([], [], label=label, **_look(word)) for word, label in figure.legend]
         if headed:
             canvas.suptitle(figure.title, wrap=True)
-            canvas.legend(handles=handles, loc="outside lower center", ncols=BESIDE, frameon=False)
+            canvas.legend(handles=handles, loc="outside lower center", ncols=PANELS_IN_A_ROW, frameon=False)
         else:
             places[0].legend(handles=handles, frameon=False)
         try:

@@ -344,7 +344,7 @@ def _points(x: Floats, y: Floats) -> str:
 
 # --- A picture of a figure, as a file of its own.
 
-BESIDE: Final = 3
+PANELS_IN_A_ROW: Final = 3
 """Panels next to each other in a picture."""
 _LEGEND, _ENTRY = 28.0, 170.0
 """Height of a line of the legend, and width of an entry."""
@@ -353,13 +353,13 @@ _LEGEND, _ENTRY = 28.0, 170.0
 def sheet_svg(figure: Figure) -> bytes:
     """Draw the panels of a figure in one picture, in the colours of pages; the same figure gives the same bytes."""
     panels, top = [], 0.0
-    for first in range(0, len(figure.panels), BESIDE):
-        row = figure.panels[first : first + BESIDE]
+    for first in range(0, len(figure.panels), PANELS_IN_A_ROW):
+        row = figure.panels[first : first + PANELS_IN_A_ROW]
         for column, panel in enumerate(row):
             place = f'x="{column * WIDTH:g}" y="{top:g}" width="{WIDTH:g}" height="{_height(panel):g}"'
             panels.append(_panel(panel, place))
         top += max(map(_height, row))
-    width = WIDTH * min(BESIDE, len(figure.panels))
+    width = WIDTH * min(PANELS_IN_A_ROW, len(figure.panels))
     entries = int(width // _ENTRY)
     legend = []
     for number, (style, label) in enumerate(figure.legend):

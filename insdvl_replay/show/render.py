@@ -23,7 +23,7 @@ from insdvl_replay.core.result import (
     package_versions,
     this_tool,
 )
-from insdvl_replay.show.document import blocks_csv, header_and_rows, losses, rows_csv, shown, table_csv
+from insdvl_replay.show.document import blocks_csv, header_and_rows, notes_table, rows_csv, shown, table_csv
 from insdvl_replay.show.text import as_latex, as_markdown, sentence_of
 
 
@@ -63,7 +63,7 @@ def document(result: Result) -> Document:
         *result.figures.values(),
         Heading("Tables"),
         *tables,
-        Only(PAGE, (Heading("What was lost or assumed"), losses(result.notes), *_provenance(result))),
+        Only(PAGE, (Heading("What was lost or assumed"), notes_table(result.notes), *_provenance(result))),
     ]
 
 

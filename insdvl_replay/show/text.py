@@ -28,16 +28,16 @@ from insdvl_replay.core.result import (
     Sentences,
     Title,
 )
-from insdvl_replay.core.words import EvidenceWord, GateStatus, Judgement
+from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Verdict
 from insdvl_replay.show.document import cell_lines, parts_for
 
 # --- A terminal: calm tables that fit 80 columns.
 
 _STYLES: Final[dict[str, str]] = {
-    EvidenceWord.BETTER: "bold green",
-    EvidenceWord.WORSE: "bold red",
-    Judgement.MIXED: "bold yellow",
-    Judgement.NOT_EVALUATED: "bold red",
+    EvidenceVerdict.BETTER: "bold green",
+    EvidenceVerdict.WORSE: "bold red",
+    Verdict.MIXED: "bold yellow",
+    Verdict.NOT_EVALUATED: "bold red",
     GateStatus.FAILED: "bold red",
 }
 """Words that have a colour."""

@@ -254,10 +254,10 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     baseline, *candidates = tables["verdicts"]["filter"]
     nine = tables["montecarlo"][tables["montecarlo"]["state"].isin([state.id for state in NINE])]
     for name in candidates:
-        means = nine[nine["filter"] == name][["believed_improvement_pct", "true_improvement_pct"]].mean()
-        believed, true = (f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means)
+        means = nine[nine["filter"] == name][["predicted_improvement_pct", "true_improvement_pct"]].mean()
+        predicted, true = (f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means)
         yield (
-            f"{name} believes in errors that are {believed} than those of {baseline} in the mean over nine states; "
+            f"{name} believes in errors that are {predicted} than those of {baseline} in the mean over nine states; "
             f"they are {true}"
         )
 
@@ -273,7 +273,7 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
         ("ensemble\nmean", "r", "ensemble_mean"),
         ("rms /\nsigma", "r", "ratio"),
     ]
-    gains = [("belief", "r", "believed_improvement_pct:percent"), ("truth", "r", "true_improvement_pct:percent")]
+    gains = [("prediction", "r", "predicted_improvement_pct:percent"), ("truth", "r", "true_improvement_pct:percent")]
     for name, rows in tables["montecarlo"].groupby("filter", sort=False):
         is_baseline = name == baseline
         against = "" if is_baseline else f"; improvement over {baseline} in belief and truth"
@@ -330,12 +330,12 @@ def ensemble_figure(
     panels = []
     settled = time_s >= SETTLED * time_s[-1]
     for state in states:
-        believed, actual, mean = (column[:, state.index] / state.factor for column in (sd, error_sd, error_mean))
-        lowest, highest = min(0.0, mean[settled].min()), max(believed[settled].max(), actual[settled].max())
+        predicted, actual, mean = (column[:, state.index] / state.factor for column in (sd, error_sd, error_mean))
+        lowest, highest = min(0.0, mean[settled].min()), max(predicted[settled].max(), actual[settled].max())
         curves = (
             Curve(time_s, actual, REFERENCE),
             Curve(time_s, mean, filter_style(2)),
-            Curve(time_s, believed, SIGMA),
+            Curve(time_s, predicted, SIGMA),
         )
         y_limits = (1.1 * lowest - 0.1 * highest, 1.1 * highest)
         panels.append(Panel(f"{state.label} [{state.unit}]", "time [s]", curves, y_limits=y_limits))

@@ -87,8 +87,8 @@ def _two_runs(folder: Path) -> Iterator[Outcome]:
     said = [run.communicate(timeout=LIMIT_S)[1].decode() for run in runs]
     codes = [run.returncode for run in runs]
     kept = json.loads((folder / "replay" / "dive" / "report.json").read_text())["config"]["evaluation"]["starts"]
-    is_told = sorted(codes) == [0, 2] and kept == 1 + codes.index(0)
-    yield "3 two runs at once", "ok" if is_told else f"exits {codes}, {kept} kept", " ".join(said)[-200:]
+    is_reported = sorted(codes) == [0, 2] and kept == 1 + codes.index(0)
+    yield "3 two runs at once", "ok" if is_reported else f"exits {codes}, {kept} kept", " ".join(said)[-200:]
 
 
 def _names(folder: Path) -> Iterator[Outcome]:
@@ -130,8 +130,8 @@ def _cache(folder: Path) -> Iterator[Outcome]:
         cwd=folder, env=os.environ | {"INSDVL_REPLAY_CACHE": str(folder / "file")}, capture_output=True, check=False,
     )  # fmt: skip
     said = done.stderr.decode()
-    is_told = done.returncode == 0 and "warning: compiled code cannot be kept" in said
-    yield "6 a cache that cannot be written", "ok" if is_told else f"exit {done.returncode}", said[-200:]
+    is_reported = done.returncode == 0 and "warning: compiled code cannot be kept" in said
+    yield "6 a cache that cannot be written", "ok" if is_reported else f"exit {done.returncode}", said[-200:]
 
 
 def _slow(folder: Path) -> Iterator[Outcome]:

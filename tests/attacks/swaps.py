@@ -15,7 +15,7 @@ from random import Random
 
 from base_logs import ROOT
 from living import PATIENCE_S, half_written, hidden, started
-from victim import OUR_MISTAKE
+from victim import INTERNAL_ERROR
 
 DIVES = ROOT / "examples" / "archive" / "dives"
 ONE, OTHER = DIVES / "lost_beam.mcap", DIVES / "survey.mcap"
@@ -113,7 +113,7 @@ def _swapped(
 def _judged(code: int, said: str, results: Path, tables: dict[str, dict[str, bytes]]) -> str:
     if code < 0:
         return "killed by signal"
-    if code == OUR_MISTAKE:
+    if code == INTERNAL_ERROR:
         return "exit 4"
     if code:
         left = results.exists() and (half_written(results) or hidden(results))

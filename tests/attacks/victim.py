@@ -25,7 +25,7 @@ BEYOND_MB = 400.0
 """Memory that a damaged log may take beyond what the clean one took."""
 ADDRESS_SPACE = 6 << 30
 """Protects the machine, not the verdict: what takes more has failed already."""
-OUR_MISTAKE = 4
+INTERNAL_ERROR = 4
 DEFECTS = (
     *("traceback", "exit 4", "hang", "memory", "killed by signal", "leftovers", "no sentence", "differs unnoted"),
 )
@@ -105,7 +105,7 @@ def _live(command: list[str], said: Path, printed: Path) -> None:
 
         traceback.print_exc()
         sys.stderr.flush()
-        os._exit(OUR_MISTAKE)
+        os._exit(INTERNAL_ERROR)
 
 
 def result_of(folder: Path) -> Result | None:
@@ -128,7 +128,7 @@ def verdict(ended: Ended, clean_mb: float) -> str:
         return "killed by signal"
     if "Traceback (most recent call last)" in ended.said:
         return "traceback"
-    if ended.code == OUR_MISTAKE:
+    if ended.code == INTERNAL_ERROR:
         return "exit 4"
     last = ended.said.rstrip("\n").rpartition("\n")[2]
     if ended.code and not (last.startswith("error: ") and len(last) > len("error: ") + 10):

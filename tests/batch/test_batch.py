@@ -137,7 +137,7 @@ def tree(tmp_path: Path) -> Path:
         ("**/c.mcap", "2026/c.mcap"),
     ],
 )
-def test_names_stand_for_dives(name: str, found: str, tree: Path) -> None:
+def test_names_are_for_dives(name: str, found: str, tree: Path) -> None:
     assert [str(path.relative_to(tree)) for path in find_dives([name], tree)] == found.split()
 
 
@@ -161,7 +161,7 @@ def test_results_are_dives_only_where_they_are_wanted(tree: Path) -> None:
         find_dives(["replay"], tree)
 
 
-def test_logs_beside_the_report_of_another_tool_are_dives(tree: Path) -> None:
+def test_logs_next_to_the_report_of_another_tool_are_dives(tree: Path) -> None:
     (tree / "trip" / "report.json").write_text('{"tool": {"name": "another"}}')
     assert [path.name for path in find_dives(["trip"], tree)] == ["trip_0.mcap", "trip_1.mcap"]
     (tree / "trip" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
@@ -190,18 +190,20 @@ def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
         ("1/mon/x.mcap 2/mon/x.mcap tue/x.mcap", "1_mon_x 2_mon_x tue_x"),
     ],
 )
-def test_dives_that_would_share_a_name_are_told_apart_by_their_folders(paths: str, names: str, tmp_path: Path) -> None:
+def test_dives_that_would_share_a_name_are_reported_apart_by_their_folders(
+    paths: str, names: str, tmp_path: Path
+) -> None:
     assert unique_names([tmp_path / path for path in paths.split()]) == names.split()
 
 
 @pytest.mark.parametrize(
     ("file", "name"), [("..mcap", "mcap"), ("...mcap", "mcap"), (".mcap", ".mcap"), ("a..mcap", "a."), ("...", "dive")]
 )
-def test_no_dive_bears_the_name_of_the_folder_it_lies_in(file: str, name: str, tmp_path: Path) -> None:
+def test_no_dive_bears_the_name_of_the_folder_it_is_in(file: str, name: str, tmp_path: Path) -> None:
     assert unique_names([tmp_path / file]) == [name]
 
 
-def test_a_folder_keeps_what_stands_behind_a_dot_in_its_name(tmp_path: Path) -> None:
+def test_a_folder_keeps_what_is_behind_a_dot_in_its_name(tmp_path: Path) -> None:
     bag = tmp_path / "dive_2026.11.21"
     bag.mkdir()
     assert unique_names([bag, tmp_path / "dive_2026.mcap"]) == ["dive_2026.11.21", "dive_2026"]
@@ -217,7 +219,7 @@ def test_dives_that_folders_do_not_tell_apart_are_refused(paths: str, tmp_path: 
         unique_names([tmp_path / path for path in paths.split()])
 
 
-def test_two_dives_of_one_name_are_replayed_beside_each_other(archive: Path, tmp_path: Path) -> None:
+def test_two_dives_of_one_name_are_replayed_next_to_each_other(archive: Path, tmp_path: Path) -> None:
     for day, seed in (("monday", 1), ("tuesday", 2)):
         (tmp_path / day).mkdir()
         shutil.copy(archive / f"dive_{seed}.mcap", tmp_path / day / "dive.mcap")
@@ -233,7 +235,7 @@ def test_two_dives_of_one_name_are_replayed_beside_each_other(archive: Path, tmp
     )
 
 
-def test_a_result_that_lost_a_file_is_made_anew(archive: Path, results: Path, tmp_path: Path) -> None:
+def test_a_result_that_lost_a_file_is_made_again(archive: Path, results: Path, tmp_path: Path) -> None:
     shutil.copytree(results, tmp_path / "out")
     (tmp_path / "out" / "dive_2" / "report.html").unlink()
     done = run(archive, "-o", "out", "--force", cwd=tmp_path)
@@ -452,7 +454,7 @@ def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, 
         known_reports(jobs, force=True)
 
 
-def test_a_result_that_is_not_whole_is_replayed_and_told(
+def test_a_result_that_is_not_whole_is_replayed_and_reported(
     archive: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
@@ -545,7 +547,7 @@ def test_an_error_does_not_keep_what_was_read_of_its_dive() -> None:
         gc.enable()
 
 
-def test_processes_beside_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_next_to_each_other_take_one_core_each(monkeypatch: pytest.MonkeyPatch) -> None:
     for library in ("OPENBLAS", "OMP", "MKL"):
         monkeypatch.delenv(f"{library}_NUM_THREADS", raising=False)
     assert dict(do_each(threads_with_numpy, [0, 1], local_pool(2))) == {0: 1, 1: 1}
@@ -567,7 +569,7 @@ def test_only_the_item_that_kills_its_workers_is_lost() -> None:
 
 
 @pytest.mark.nightly
-def test_a_dive_that_kills_its_workers_is_told_by_name(archive: Path, tmp_path: Path) -> None:
+def test_a_dive_that_kills_its_workers_is_reported_by_name(archive: Path, tmp_path: Path) -> None:
     def submit(*_: object) -> NoReturn:
         raise BrokenExecutor("killed")
 

@@ -79,7 +79,7 @@ def scheduler() -> Iterator[tuple[str, psutil.Process]]:
 
 
 @pytest.mark.nightly
-def test_a_cluster_without_workers_is_told(
+def test_a_cluster_without_workers_is_reported(
     log: Path,
     scheduler: tuple[str, psutil.Process],
     monkeypatch: pytest.MonkeyPatch,

@@ -46,7 +46,7 @@ def test_settings_are_written_that_a_run_takes(dives: Path, tmp_path: Path, caps
     assert "exists" in capsys.readouterr().err
 
 
-def test_later_settings_lie_over_earlier_ones(tmp_path: Path) -> None:
+def test_later_settings_are_over_earlier_ones(tmp_path: Path) -> None:
     files = [tmp_path / "vehicle.toml", tmp_path / "found.toml"]
     files[0].write_text("[dvl]\nscale = 1.1\nlatency_s = 0.5\n[filters.only]\naiding = ['velocity']\n", "utf-8")
     files[1].write_text("[dvl]\nlatency_s = 0.1\n", "utf-8")
@@ -78,7 +78,7 @@ def test_csv_has_a_column_for_each_axis(dives: Path, capsys: pytest.CaptureFixtu
     assert "(" not in row
 
 
-def test_nothing_estimated_is_told_and_writes_nothing(
+def test_nothing_estimated_is_reported_and_writes_nothing(
     dives: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = tmp_path / "found.toml"
@@ -210,7 +210,7 @@ def test_a_terminal_sees_how_far_it_is(
     assert capsys.readouterr().err == ""
 
 
-def test_notes_of_the_dives_are_told_when_asked(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_notes_of_the_dives_are_reported_when_asked(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command_line([*calibrate(dives, "dive_1"), "--set", "span.start_s=20", "-v"]) == 0
     assert "info: dive_1: " in capsys.readouterr().err
 

@@ -24,7 +24,13 @@ from built_in import (
 from scipy.stats import norm
 
 from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
-from insdvl_replay.calibration.certainty import BEAM_ERRORS, beside_imu_errors, certainty_of, mean_change, newey_west
+from insdvl_replay.calibration.certainty import (
+    BEAM_ERRORS,
+    certainty_of,
+    mean_change,
+    newey_west,
+    with_estimated_imu_errors,
+)
 from insdvl_replay.calibration.fit import AXES, Fit, Linearised, fit, likeliest_mounting, possible_axes
 from insdvl_replay.calibration.innovations import (
     ALL_GROUPS,
@@ -118,7 +124,7 @@ def test_noise_of_healthy_sensors_is_found(grade: str) -> None:
         assert abs(np.log(noise["gyro_white_rad_rts"] / sensors.gyro_white_rad_rts)) < np.log(4.0)
 
 
-def test_a_straight_line_tells_no_noise_to_be_applied() -> None:
+def test_a_straight_line_reports_no_noise_to_be_applied() -> None:
     """What is wrong in a geometry that nobody knows would be taken for noise, unless noise alone is asked for."""
     straight = built_in_otherwise("straight", 0)
     held, alone = calibrated(straight, only=("arm", "noise")), calibrated(straight, only=("noise",))
@@ -163,13 +169,13 @@ def test_slow_errors_that_explain_innovations_leave_noise_undetermined() -> None
     assert status["beam_sd_mps"] == Estimated.ESTIMATED
 
 
-def test_beside_a_noise_that_no_gyro_has_the_others_are_limits_by_which_the_filter_is_consistent() -> None:
+def test_next_to_a_noise_that_no_gyro_has_the_others_are_limits_by_which_the_filter_is_consistent() -> None:
     dive = as_read(add_errors(exact_dive("static", duration_s=60.0), GRADES["fog"], WHITE, 1), QUIET).innovations()
     before, none = noise_of(dive.filter), np.zeros(len(NAMES))
     fitted = {key: 0.01 if key == "gyro_white_rad_rts" else 3.0 * value for key, value in before.items()}
     kept, rows = determined_noise(FittedNoise(before, fitted), [dive], [none], 0.0, QUIET.filters["baseline"])
     told = {row.parameter: (row.status, row.why) for row in rows}
-    assert told["gyro_white_rad_rts"][0] == Estimated.DOUBTFUL
+    assert told["gyro_white_rad_rts"][0] == Estimated.IMPLAUSIBLE
     assert told["accel_white_mps_rts"] == told["beam_sd_mps"] == (Estimated.NOT_DETERMINED, AT_MOST)
     assert kept.after["gyro_white_rad_rts"] == before["gyro_white_rad_rts"]
     assert nis_per_dof(kept.applied(dive), none) == pytest.approx(1.0, abs=0.1)
@@ -178,7 +184,7 @@ def test_beside_a_noise_that_no_gyro_has_the_others_are_limits_by_which_the_filt
 def test_noise_that_no_sensor_has_is_not_written() -> None:
     """A DVL without noise."""
     found = calibrated(as_read(exact_dive("calibration", duration_s=60.0)), only=("noise",))
-    assert Estimated.DOUBTFUL in {row.status for row in found.noise_rows}
+    assert Estimated.IMPLAUSIBLE in {row.status for row in found.noise_rows}
     assert not found.proposes_noise
     assert all(row.after == row.before for row in found.noise_rows)
     text = calibration_toml(found, [0])
@@ -193,7 +199,7 @@ def test_a_derivative_that_looks_like_an_error_of_the_imu_keeps_what_its_prior_l
     effects[:, :, BEAM_ERRORS : BEAM_ERRORS + 1] = alike
     near = Linearised(np.zeros((8, 3)), np.ones(3), alike, alike)
     fitted = Fit((np.arange(8),), PRIOR_SD, ALL, np.zeros(8), (near,))
-    (left,) = beside_imu_errors(fitted, [effects]).dives
+    (left,) = with_estimated_imu_errors(fitted, [effects]).dives
     np.testing.assert_allclose(left.by_motion, alike / (24.0 + 1.0))
 
 
@@ -266,7 +272,7 @@ def test_turns_alone_show_the_arm_in_their_plane_and_not_along_their_axis() -> N
 
 
 @pytest.mark.nightly
-def test_turns_alone_beside_errors_of_single_beams_err_as_much_as_is_said() -> None:
+def test_turns_alone_next_to_errors_of_single_beams_err_as_much_as_is_said() -> None:
     """Beams that are off by 1 mm/s and 0.2 % say of a slow vehicle that its DVL is turned: that is held."""
     errors: dict[str, list[float]] = {}
     for seed in range(8000, 8008):
@@ -312,7 +318,7 @@ def test_several_dives_share_a_vehicle_and_each_has_its_delay(eight: ReadDive) -
 
 
 @pytest.mark.nightly
-def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_believed() -> None:
+def test_a_dvl_turned_by_a_right_angle_is_found_or_refused_and_never_predicted() -> None:
     turned = built_in_otherwise("figure-eight", 6, yaw_deg=90.0)
     astray = calibrated(turned)
     assert status(astray)["mounting_z"] != Estimated.ESTIMATED or astray.after.mounting_rpy_deg[2] == pytest.approx(

@@ -158,7 +158,7 @@ def test_a_straight_line_shows_neither_arm_nor_whose_axes_are_turned() -> None:
     assert held.after.scale == pytest.approx(SCALE, abs=0.002)
 
 
-def test_a_reference_whose_axes_are_known_tells_the_heading_of_the_dvl() -> None:
+def test_a_reference_whose_axes_are_known_reports_the_heading_of_the_dvl() -> None:
     """On a straight line, too: the sum of both turns is seen, and all of it is given to the DVL."""
     told = calibrated(beside("straight", 2), only=("mounting", "scale"))
     assert told.reference is not None
@@ -168,7 +168,7 @@ def test_a_reference_whose_axes_are_known_tells_the_heading_of_the_dvl() -> None
     assert told.after.mounting_rpy_deg[2] == pytest.approx(-YAW_DEG, abs=0.1)
 
 
-def test_without_attitude_clock_and_scale_alone_are_told() -> None:
+def test_without_attitude_clock_and_scale_alone_are_reported() -> None:
     told = calibrated(beside("figure-eight", 3, attitude=False))
     assert told.reference is not None
     rows = {row.parameter: row for row in told.reference.rows}
@@ -214,7 +214,7 @@ def test_what_reference_and_baseline_differ_by_has_its_closed_form() -> None:
 
 
 @pytest.mark.nightly
-def test_dives_together_are_surer_and_their_scatter_is_told(found: Calibration) -> None:
+def test_dives_together_are_surer_and_their_scatter_is_reported(found: Calibration) -> None:
     second = beside("figure-eight", 2)
     both, other = calibrated(beside("figure-eight", 1), second), calibrated(second)
     assert both.reference is not None
@@ -233,7 +233,7 @@ def test_a_dependent_reference_is_doubted_and_none_is_an_error() -> None:
     read = beside("figure-eight", 1)
     settings = msgspec.structs.replace(read.config.reference, independent=False)
     told = calibrated(read.with_config(msgspec.structs.replace(read.config, reference=settings)))
-    assert any("independent = false" in doubt for doubt in told.doubts)
+    assert any("independent = false" in warning for warning in told.warnings)
     with pytest.raises(LogError, match="reference"):
         calibrated(replace(read, as_read=None))
 
@@ -246,7 +246,7 @@ def test_a_clock_that_is_off_by_more_than_is_looked_for_is_not_proposed() -> Non
     told = calibrated(replace(read, as_read=later))
     assert told.reference is not None
     row = told.reference.rows[0]
-    assert (row.parameter, row.status) == ("reference_clock", Estimated.DOUBTFUL)
+    assert (row.parameter, row.status) == ("reference_clock", Estimated.IMPLAUSIBLE)
     assert told.reference.after.latency_s == told.reference.before.latency_s
 
 

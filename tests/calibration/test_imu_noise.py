@@ -69,7 +69,7 @@ def errors_over_sds(found: Calibration, truth: np.ndarray) -> np.ndarray:
         ),
     ],
 )
-def test_a_vehicle_that_does_not_turn_tells_neither_delay_nor_arm(scenario: str, grade: str) -> None:
+def test_a_vehicle_that_does_not_turn_reports_neither_delay_nor_arm(scenario: str, grade: str) -> None:
     found = calibrated(as_configured(scenario, grade, 1, 200.0))
     assert not proposed(found)
     assert found.after == found.before
@@ -77,7 +77,7 @@ def test_a_vehicle_that_does_not_turn_tells_neither_delay_nor_arm(scenario: str,
     assert all("noise of this IMU" in whys[name] for name in ("delay", "arm_x"))
 
 
-def test_an_imu_that_smooths_its_readings_tells_no_more() -> None:
+def test_an_imu_that_smooths_its_readings_reports_no_more() -> None:
     """From sample to sample its noise hides."""
     config = load_config("mems")
     noisy = add_errors(exact_dive("static", duration_s=200.0), GRADES["mems"], DvlErrors(), 3)
@@ -90,7 +90,7 @@ def test_an_imu_that_smooths_its_readings_tells_no_more() -> None:
 
 
 @pytest.mark.parametrize(("scenario", "grade", "share"), [("static", "mems", 1.0), ("calibration", "fog", 0.0)])
-def test_the_share_of_noise_is_known_of_a_vehicle_that_lies_still_and_of_quiet_sensors(
+def test_the_share_of_noise_is_known_of_a_vehicle_that_is_still_and_of_quiet_sensors(
     scenario: str, grade: str, share: float
 ) -> None:
     sensors = GRADES[grade]
@@ -114,7 +114,7 @@ def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
 
 
 @pytest.mark.parametrize("times", [1.0, 10.0])
-def test_dives_that_lie_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(times: float) -> None:
+def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(times: float) -> None:
     """Nor do they say anything of their own, with an IMU as noisy or with one that is far noisier there."""
     config, sensors = load_config("mems"), GRADES["mems"]
     noisier = replace(sensors, **{key: times * getattr(sensors, key) for key in INERTIAL})
@@ -139,7 +139,7 @@ def test_dives_that_lie_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
 
 
 @pytest.mark.parametrize("grade", ["tactical", "mems"])
-def test_slow_turns_beside_a_noisy_imu_show_the_arm_and_no_delay(grade: str) -> None:
+def test_slow_turns_next_to_a_noisy_imu_show_the_arm_and_no_delay(grade: str) -> None:
     found = calibrated(as_configured("figure-eight", grade, 42))
     assert "delay" not in proposed(found)
     assert {"arm_x", "arm_y"} <= proposed(found)
@@ -147,7 +147,7 @@ def test_slow_turns_beside_a_noisy_imu_show_the_arm_and_no_delay(grade: str) -> 
 
 
 @pytest.mark.parametrize("grade", ["tactical", "mems"])
-def test_strong_manoeuvres_show_the_delay_beside_a_noisy_imu(grade: str) -> None:
+def test_strong_manoeuvres_show_the_delay_next_to_a_noisy_imu(grade: str) -> None:
     found = calibrated(otherwise("calibration", grade, 60))
     assert {"delay", "arm_x", "arm_y", "arm_z"} <= proposed(found)
     assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
@@ -164,7 +164,9 @@ def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
 @pytest.mark.parametrize(
     ("scenario", "duration_s"), [("figure-eight", None), ("calibration", None), ("lawnmower", 600.0)]
 )
-def test_errors_beside_a_noisy_imu_are_as_large_as_is_said(scenario: str, duration_s: float | None, grade: str) -> None:
+def test_errors_next_to_a_noisy_imu_are_as_large_as_is_said(
+    scenario: str, duration_s: float | None, grade: str
+) -> None:
     """Of delay and arm, over all that is proposed of seven dives as configured, and of seven built in otherwise."""
     delay_and_arm = [NAMES.index(name) for name in ("delay", "arm_x", "arm_y", "arm_z")]
     dives = [(as_configured(scenario, grade, seed, duration_s), NONE) for seed in range(60, 67)]

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from insdvl_replay.changes.cells import judge_number, prints_alike, rank_word
+from insdvl_replay.changes.cells import judge_number, prints_alike, rank_verdict
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
 from insdvl_replay.core.tables import Better
 from insdvl_replay.show.document import number, percent
@@ -43,7 +43,7 @@ def test_numbers_move_as_computed_by_hand(
     old: float | None, new: float | None, column: str, better: Better, change_pct: float | None, word: str
 ) -> None:
     moved = judge_number(old, new, column, better, dofs=(3.0, 3.0))
-    assert moved.word == word
+    assert moved.verdict == word
     assert moved.change_pct == (None if change_pct is None else pytest.approx(change_pct, abs=1e-9))
     assert moved.change == (None if old is None or new is None else pytest.approx(new - old, abs=1e-12))
 
@@ -53,12 +53,12 @@ def test_numbers_move_as_computed_by_hand(
     [(1.0009, 0.1, "same"), (1.001, 0.1, "same"), (1.0011, 0.1, "worse"), (0.9989, 0.1, "better"), (1.1, 0.0, "worse")],
 )
 def test_tolerance_is_the_largest_change_that_is_none(new: float, tolerance_pct: float, word: str) -> None:
-    assert judge_number(1.0, new, "sd", "lower", tolerance_pct=tolerance_pct).word == word
+    assert judge_number(1.0, new, "sd", "lower", tolerance_pct=tolerance_pct).verdict == word
 
 
 def test_no_tolerance_covers_a_number_that_was_lost_or_grew_from_zero() -> None:
-    assert judge_number(1.0, None, "sd", "lower", tolerance_pct=1e9).word == "worse"
-    assert judge_number(0.0, 1e-9, "sd", "lower", tolerance_pct=1e9).word == "worse"
+    assert judge_number(1.0, None, "sd", "lower", tolerance_pct=1e9).verdict == "worse"
+    assert judge_number(0.0, 1e-9, "sd", "lower", tolerance_pct=1e9).verdict == "worse"
 
 
 @given(numbers, numbers, st.sampled_from(BETTER), st.sampled_from(("sd", "improvement_pct")))
@@ -67,7 +67,7 @@ def test_exchanging_old_and_new_exchanges_better_and_worse(
 ) -> None:
     there = judge_number(old, new, column, better, dofs=(3.0, 3.0))
     back = judge_number(new, old, column, better, dofs=(3.0, 3.0))
-    assert back.word == OPPOSITE[there.word]
+    assert back.verdict == OPPOSITE[there.verdict]
 
 
 @given(st.floats(1e-4, 1e6), st.floats(0.999, 1.001))
@@ -97,4 +97,4 @@ def test_numbers_that_print_two_digits_apart_are_not_the_same(value: float) -> N
     ],
 )
 def test_verdicts_have_a_rank(old: str, new: str | None, word: str) -> None:
-    assert rank_word(old, new, VERDICTS_BEST_FIRST) == word
+    assert rank_verdict(old, new, VERDICTS_BEST_FIRST) == word

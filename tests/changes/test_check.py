@@ -20,7 +20,7 @@ import xmlschema
 from small_results import content, write
 
 from insdvl_replay.changes.formats import MOST_ANNOTATIONS, CheckReport, github_annotations, junit_xml
-from insdvl_replay.changes.gates import CheckResult, Judgement
+from insdvl_replay.changes.gates import CheckResult, GateOutcome
 from insdvl_replay.cli import run_command_line
 
 DIVES = Path(__file__).parents[2] / "examples" / "archive" / "dives"
@@ -140,7 +140,7 @@ def test_a_typo_in_a_state_is_2_before_any_replay(team: Path) -> None:
     assert not (team / "checked").exists()
 
 
-def test_an_unreadable_dive_is_3_and_the_others_are_judged(team: Path) -> None:
+def test_an_unreadable_dive_is_3_and_the_others_are_evaluated(team: Path) -> None:
     (team / "dives" / "bad.mcap").write_bytes(b"not a log")
     done = started(team, PASSING + FAILING, "--format", "junit")
     assert done.returncode == 3
@@ -206,7 +206,7 @@ def test_settings_of_the_gate_file_and_the_command_line(team: Path) -> None:
     assert "vehicle.toml" in refused.stderr
 
 
-def test_results_are_judged_as_they_are(team: Path) -> None:
+def test_results_are_evaluated_as_they_are(team: Path) -> None:
     before = (team / "checked" / "transit" / "report.json").read_bytes()
     for dive in ("checked/transit", "checked/transit/report.json", "checked"):
         done = check(team, PASSING, dive, "--set", "dvl.scale=1.5")
@@ -290,7 +290,7 @@ def test_a_baseline_of_another_log_does_not_count(team: Path) -> None:
     assert "baselines/outage.json" not in done.stdout
 
 
-def test_a_broken_baseline_is_told_and_made_anew(team: Path) -> None:
+def test_a_broken_baseline_is_reported_and_made_again(team: Path) -> None:
     (team / "baselines").mkdir()
     (team / "baselines" / "transit.json").write_text('{"tool": ')
     done = check(team, BASELINE)
@@ -445,7 +445,7 @@ def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult
         "gates.toml",
         tuple(
             msgspec.convert(
-                {"dive": "d", "gate": f"gate {number}", "status": status, "reasons": reasons, "line": 7}, Judgement
+                {"dive": "d", "gate": f"gate {number}", "status": status, "reasons": reasons, "line": 7}, GateOutcome
             )
             for number, status in enumerate(statuses)
         ),
@@ -512,8 +512,8 @@ def test_json_and_the_summary(team: Path) -> None:
     (team / "summary.md").write_text("# Before\n")
     done = check(team, PASSING + FAILING, "--format", "json", "--summary-file", "summary.md")
     report = msgspec.json.decode(done.stdout, type=CheckReport)
-    assert (report.failed, report.passed, len(report.judgements)) == (2, 2, 4)
-    assert report.judgements[0].findings[0].row == "ba_z"
+    assert (report.failed, report.passed, len(report.outcomes)) == (2, 2, 4)
+    assert report.outcomes[0].findings[0].row == "ba_z"
     summary = (team / "summary.md").read_text()
     assert summary.startswith("# Before\n## Gates\n")
     assert f"| FAILED | outage | {NAME} fully | improvement aided ba_z: " in summary

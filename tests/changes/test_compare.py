@@ -47,9 +47,9 @@ def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection
 def words(comparison: Comparison, **where: str) -> dict[tuple[str, str, str], str]:
     """Word of each cell that is not the same, by table, row and column."""
     return {
-        (change.table, change.row, change.column): change.word
+        (change.table, change.row, change.column): change.verdict
         for change in comparison.changes
-        if change.word != "same" and all(getattr(change, key) == value for key, value in where.items())
+        if change.verdict != "same" and all(getattr(change, key) == value for key, value in where.items())
     }
 
 
@@ -87,7 +87,7 @@ def test_every_column_that_can_be_better_is_compared(tmp_path: Path) -> None:
     assert listed == expected
 
 
-def test_each_column_is_judged_in_its_own_direction(tmp_path: Path) -> None:
+def test_each_column_is_evaluated_in_its_own_direction(tmp_path: Path) -> None:
     new = content(ba_x_sd=0.5, reached_s=50.0, final=0.1, mean_nis=1.0, verdict="conservative", rejected=4)
     assert words(compared(tmp_path, content(), new)) == {
         ("improvement", "ba_x", "sd"): "better",
@@ -158,7 +158,7 @@ def test_a_row_on_one_side_is_new_or_gone(tmp_path: Path) -> None:
 def test_a_row_in_another_unit_is_another_row(tmp_path: Path) -> None:
     new = content()
     new["tables"]["reference_error"][0] |= {"unit": "mrad", "rmse": 7.0}
-    found = {(c.unit, c.word) for c in compared(tmp_path, content(), new).changes if c.column == "rmse"}
+    found = {(c.unit, c.verdict) for c in compared(tmp_path, content(), new).changes if c.column == "rmse"}
     assert found == {("deg", "gone"), ("mrad", "new")}
 
 
@@ -216,7 +216,7 @@ def test_a_filter_on_one_side_is_noted_and_its_rows_are_new(tmp_path: Path) -> N
         new["tables"][table] += rows
     comparison = compared(tmp_path, content(), new)
     assert [(note.code, note.count) for note in comparison.notes] == [("filter_on_one_side", 1)]
-    assert {(change.filter, change.word) for change in comparison.changes} == {("aided", "same"), ("tuned", "new")}
+    assert {(change.filter, change.verdict) for change in comparison.changes} == {("aided", "same"), ("tuned", "new")}
 
 
 # --- What differs beside the tables.
@@ -243,7 +243,7 @@ def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
     }
 
 
-def test_another_log_is_told_before_all_settings(tmp_path: Path) -> None:
+def test_another_log_is_reported_before_all_settings(tmp_path: Path) -> None:
     new = content(sha256="other")
     new["config"] |= {f"key{number}": number for number in range(20)}
     told = as_markdown(brief_document(compared(tmp_path, content(), new)))
@@ -303,7 +303,7 @@ def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
     whole = compare_results(old, new)
     less = only_changed(whole)
     assert less.total == whole.total
-    assert {change.word for change in less.changes} == {"better", "worse"}
+    assert {change.verdict for change in less.changes} == {"better", "worse"}
     assert [aggregate.column for aggregate in less.aggregates] == ["rmse"]
     assert less.dives == whole.dives
 
@@ -456,7 +456,7 @@ def test_csv_has_four_parts_and_numbers_in_full(tmp_path: Path) -> None:
     assert [row["matched_by"] for row in parts["dive"]] == ["hash", "hash", "hash", "nothing"]
     assert len(parts["change"]) == len(comparison.changes)
     (row,) = (row for row in parts["change"] if (row["log"], row["column"]) == ("three", "rmse"))
-    assert (float(row["old"]), float(row["new"]), row["word"]) == (0.4, 0.44, "worse")
+    assert (float(row["old"]), float(row["new"]), row["verdict"]) == (0.4, 0.44, "worse")
     assert float(row["change_pct"]) == pytest.approx(10.0, abs=1e-9)
 
 
@@ -514,7 +514,10 @@ def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
 
 
 def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
-    old, new = content(improvement="undecided", belief="undecided"), content(improvement="better", belief="confirmed")
+    old, new = (
+        content(improvement="undecided", prediction="undecided"),
+        content(improvement="better", prediction="confirmed"),
+    )
     first, second, *rest = opening_lines(compared(tmp_path, old, new))
     assert re.fullmatch(r"aided .*better.* undecided", first)
     assert re.fullmatch(r".*aided .*confirmed.* undecided", second)
@@ -526,9 +529,9 @@ def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
 def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_path: Path) -> None:
     for name, word in (("one", "worse"), ("two", "worse"), ("three", "better")):
         write(tmp_path / "old" / name, content(name))
-        write(tmp_path / "new" / name, content(name, improvement=word, belief="undecided"))
-    write(tmp_path / "old" / "four", content("four", belief="undecided"))
-    write(tmp_path / "new" / "four", content("four", belief="undecided"))
+        write(tmp_path / "new" / name, content(name, improvement=word, prediction="undecided"))
+    write(tmp_path / "old" / "four", content("four", prediction="undecided"))
+    write(tmp_path / "new" / "four", content("four", prediction="undecided"))
     comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
     first, second = opening_lines(comparison)[:2]
     assert re.fullmatch(r"aided .*worse.* better \(one, two\)", first)
@@ -537,7 +540,7 @@ def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_pa
 
 def test_a_verdict_that_an_early_report_lacks_has_not_changed(tmp_path: Path) -> None:
     early = content()
-    del early["filters"]["aided"]["belief"]
+    del early["filters"]["aided"]["prediction"]
     assert not any("is now" in line for line in opening_lines(compared(tmp_path, early, content())))
 
 
@@ -554,7 +557,7 @@ def in_brief(folder: Path) -> str:
 
 def test_in_brief_verdicts_come_first_and_then_what_differs(tmp_path: Path) -> None:
     old, new = content(), content(window=5)
-    old["filters"]["aided"]["improvement"], new["filters"]["aided"]["improvement"] = "undecided", "worse"
+    old["filters"]["aided"]["verdict"], new["filters"]["aided"]["verdict"] = "undecided", "worse"
     comparison = only_changed(compared(tmp_path, old, new))
     lines = as_markdown(brief_document(comparison)).split("\n\n")
     assert re.fullmatch(r"aided .*worse.* undecided", lines[1])
@@ -572,7 +575,7 @@ def evidence_row(value: float) -> dict[str, Any]:
     return {
         "log": "dive", "filter": "aided", "evidence": "accuracy", "quantity": "drift_30s", "unit": "m",
         "baseline": 1.0, "value": value, "ratio": value, "low": 0.5, "high": 1.5, "effective_samples": 9.0,
-        "starts": 16, "windows": 60, "word": "undecided",
+        "starts": 16, "windows": 60, "verdict": "undecided",
     }  # fmt: skip
 
 
@@ -614,7 +617,7 @@ def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("old", "new", "word"), [(0.002, 0.001, "worse"), (0.5, 0.8, "better"), (2.0, 1.5, "better")])
-def test_means_of_honesty_are_better_the_nearer_they_are_to_one(
+def test_means_of_consistency_are_better_the_nearer_they_are_to_one(
     old: float, new: float, word: str, tmp_path: Path
 ) -> None:
     before, after = content(), content()

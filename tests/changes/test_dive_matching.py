@@ -46,7 +46,7 @@ def test_the_hash_goes_before_the_name(tmp_path: Path) -> None:
     assert matched(old, new) == [("one", "two", "one", "hash"), ("two", "one", "two", "hash")]
 
 
-def test_results_of_one_log_are_told_apart_by_their_place(tmp_path: Path) -> None:
+def test_results_of_one_log_are_reported_apart_by_their_place(tmp_path: Path) -> None:
     old, new = tmp_path / "old", tmp_path / "new"
     for root in (old, new):
         for setting in ("fog", "mems"):
@@ -95,7 +95,7 @@ def test_no_dive_on_both_sides_is_refused(tmp_path: Path) -> None:
         compare_results(tmp_path / "old", tmp_path / "new")
 
 
-def test_a_folder_that_cannot_be_read_is_not_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_read_is_not_ignored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for root in ("old", "new"):
         write(tmp_path / root / "dive", content())
     (tmp_path / "new" / "locked").mkdir()

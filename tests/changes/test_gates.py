@@ -50,7 +50,7 @@ def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None)
         ("dives = []\n\n[[gates]]\nmax = 1", ": ", "'gates'", "gate"),
     ],
 )
-def test_a_slip_in_the_file_is_told_with_place_and_key(
+def test_a_slip_in_the_file_is_reported_with_place_and_key(
     text: str, place: str, value: str, hint: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "gates.toml"
@@ -73,7 +73,9 @@ def test_a_slip_in_the_file_is_told_with_place_and_key(
         ({"table": "*", "column": "men_nis"}, "mean_nis"),
     ],
 )
-def test_a_name_that_no_result_has_is_told_with_the_nearest(keys: dict[str, str], meant: str, tmp_path: Path) -> None:
+def test_a_name_that_no_result_has_is_reported_with_the_nearest(
+    keys: dict[str, str], meant: str, tmp_path: Path
+) -> None:
     lines = {"name": "b", "table": "improvement", "column": "sd"} | keys
     text = "[[gate]]\n" + "".join(f'{key} = "{value}"\n' for key, value in lines.items()) + "max = 1\n"
     path = tmp_path / "gates.toml"
@@ -168,11 +170,11 @@ def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: 
         ({"table": "convergence", "column": "reached_s", "max": 1e9}, False),
         ({"table": "reference_error", "row": "roll", "column": "rmse", "max": 1e9}, False),
         ({"table": "filters", "column": "mean_improvement_pct", "min": -100}, False),
-        ({"table": "filters", "column": "improvement", "equals": "not evaluated"}, True),
+        ({"table": "filters", "column": "verdict", "equals": "not evaluated"}, True),
         ({"table": "consistency", "column": "mean_nis", "max": 1e9}, True),
     ],
 )
-def test_no_number_of_a_filter_that_is_not_judged_passes(keys: dict[str, Any], passed: bool) -> None:
+def test_no_number_of_a_filter_that_is_not_evaluated_passes(keys: dict[str, Any], passed: bool) -> None:
     report = stored(improvement="not evaluated")
     assert passes(gate(**keys), report) is passed
 
@@ -202,7 +204,7 @@ def test_what_is_empty_or_not_finite_never_passes(value: float | None, keys: dic
     assert told.endswith("(improved)")
 
 
-def test_a_missing_row_is_told_with_the_nearest_name() -> None:
+def test_a_missing_row_is_reported_with_the_nearest_name() -> None:
     sentence = why(gate(table="reference_error", row="rol", column="rmse", max=1), stored())
     assert "table reference_error" in sentence
     assert sentence.endswith("roll?")
@@ -326,7 +328,7 @@ def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processo
     assert not passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())
 
 
-# --- Words of the judgement.
+# --- Words of the outcome.
 
 
 @pytest.mark.parametrize(
@@ -340,16 +342,16 @@ def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processo
     ],
 )
 def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], passed: bool) -> None:
-    keys = {"table": "evidence", "row": "drift_30s", "column": "word", "equals": wanted}
-    assert passes(gate(**keys), stored(word=word)) is passed
+    keys = {"table": "evidence", "row": "drift_30s", "column": "verdict", "equals": wanted}
+    assert passes(gate(**keys), stored(verdict=word)) is passed
 
 
 @pytest.mark.parametrize(
     "keys",
     [
-        {"table": "evidence", "column": "word", "equals": ["better", "equivalent", "undecided", "worse", ""]},
+        {"table": "evidence", "column": "verdict", "equals": ["better", "equivalent", "undecided", "worse", ""]},
         {"table": "evidence", "column": "ratio", "max": 1e9},
-        {"table": "filters", "column": "belief", "equals": ["confirmed", "undecided", "not confirmed"]},
+        {"table": "filters", "column": "prediction", "equals": ["confirmed", "undecided", "not confirmed"]},
         {
             "table": "filters",
             "column": "improvement",
@@ -362,15 +364,15 @@ def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], pas
     ids=lambda keys: f"{keys['table']}-{keys['column']}",
 )
 @pytest.mark.parametrize("word", ["better", ""])
-def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_judged(keys: dict[str, Any], word: str) -> None:
+def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(keys: dict[str, Any], word: str) -> None:
     """Even where a report of another version has left a word beside it."""
-    report = stored(improvement="not evaluated", belief="undecided", word=word)
+    report = stored(improvement="not evaluated", prediction="undecided", verdict=word)
     row = {"log": "dive", "filter": "aided"}
     report.tables["outage"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
     report.tables["drift"] = [row | {"quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert not passes(gate(**keys), report)
-    report.filters["aided"]["improvement"] = "better"
-    assert passes(gate(**keys), report) is (word != "" or keys["column"] != "word")
+    report.filters["aided"]["verdict"] = "better"
+    assert passes(gate(**keys), report) is (word != "" or keys["column"] != "verdict")
 
 
 def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -> None:

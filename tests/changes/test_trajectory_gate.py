@@ -54,7 +54,7 @@ def trajectories(told: str) -> list[int]:
     return [int(number) for number in re.findall(r"\d+", line)]
 
 
-def test_the_first_sample_that_differs_is_told_with_its_quantity() -> None:
+def test_the_first_sample_that_differs_is_reported_with_its_quantity() -> None:
     new = changed(0, "heading_deg", slice(132, 400), 3.1e-4)
     values = new.values.copy()
     values[0, 200:, COLUMNS.index("velocity_n_mps")] += 1.0
@@ -157,7 +157,7 @@ def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Pa
         ('baseline = "b.npz"\nmax_abs = { heading = 1 }', "max_abs 'heading'"),
     ],
 )
-def test_keys_that_do_not_go_together_are_told_before_any_replay(keys: str, named: str, tmp_path: Path) -> None:
+def test_keys_that_do_not_go_together_are_reported_before_any_replay(keys: str, named: str, tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nname = "g"\ntable = "trajectory"\n{keys}\n')
     with pytest.raises(ConfigError) as found:

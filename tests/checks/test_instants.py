@@ -18,7 +18,7 @@ def test_a_latency_that_is_the_same_for_all_hides_no_pair(late_ns: int) -> None:
 
 
 @pytest.mark.parametrize("latency_s", [0.5, -1.3])
-def test_a_latency_of_several_steps_that_is_told_hides_no_pair(latency_s: float) -> None:
+def test_a_latency_of_several_steps_that_is_reported_hides_no_pair(latency_s: float) -> None:
     theirs = np.cumsum(np.random.default_rng(1).integers(15 * MS, 25 * MS, 1000))
     ours = theirs[100:900] - round(latency_s * 1e9)
     assert len(same_instants(ours, theirs, latency_s)[0]) == 800

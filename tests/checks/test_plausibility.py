@@ -117,7 +117,7 @@ def test_force_that_is_a_tenth_off_is_a_warning_with_its_first_time(turning: Div
     assert "imu_gravity" not in notes_of(changed(turning, force=0.97))
 
 
-def test_force_of_the_opposite_sign_is_told(turning: Dive) -> None:
+def test_force_of_the_opposite_sign_is_reported(turning: Dive) -> None:
     note = notes_of(changed(turning, force=-1.0))["imu_upside_down"]
     assert "imu.axes" in note.hint
     assert "imu.specific_force_axes" in note.hint
@@ -150,7 +150,7 @@ def test_dead_axis_is_named_and_dead_gyros_are_refused(turning: Dive) -> None:
     assert "imu.angular_rate" in refusal.value.hint
 
 
-def test_imu_that_stands_still_is_told_with_its_first_time(turning: Dive) -> None:
+def test_imu_that_is_still_is_reported_with_its_first_time(turning: Dive) -> None:
     imu = turning.imu
     rows = np.arange(len(imu.time_ns))
     rows[2000:2125] = 2000
@@ -175,24 +175,24 @@ def test_gyros_in_deg_per_s_are_refused(whose: str, turning: Dive) -> None:
 
 
 @pytest.mark.parametrize("whose", ["attitude", "positions"])
-def test_gyros_of_another_scale_are_told_with_it(whose: str, turning: Dive) -> None:
+def test_gyros_of_another_scale_are_reported_with_it(whose: str, turning: Dive) -> None:
     dive = changed(turning if whose == "attitude" else positions_only(turning), rate=0.6)
     note = notes_of(dive, Config(imu=Imu(angular_rate_scale=2.0)))["imu_gyro_scale"]
     assert note.severity == "warning"
     assert float(note.hint.removeprefix("imu.angular_rate_scale = ")) == pytest.approx(1.2, rel=0.03)
 
 
-def test_gyros_that_turn_the_other_way_are_told(turning: Dive) -> None:
+def test_gyros_that_turn_the_other_way_are_reported(turning: Dive) -> None:
     note = notes_of(changed(turning, rate=-1.0))["imu_gyro_sign"]
     assert "imu.axes" in note.hint
 
 
-def test_gyros_that_do_not_follow_the_reference_are_told(turning: Dive) -> None:
+def test_gyros_that_do_not_follow_the_reference_are_reported(turning: Dive) -> None:
     swapped = turning.imu.angular_rate_b[:, [2, 1, 0]]
     assert "imu_gyro_contradiction" in notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=swapped)))
 
 
-def test_single_gyro_that_turns_the_other_way_is_told(turning: Dive) -> None:
+def test_single_gyro_that_turns_the_other_way_is_reported(turning: Dive) -> None:
     mirrored = ImuColumns(
         turning.imu.time_ns, turning.imu.specific_force_b * [1, -1, 1], turning.imu.angular_rate_b * [1, -1, 1]
     )
@@ -200,7 +200,7 @@ def test_single_gyro_that_turns_the_other_way_is_told(turning: Dive) -> None:
     assert "angular rate starboard" in note.text
 
 
-def test_positions_that_contradict_the_velocity_beside_them_are_told(turning: Dive) -> None:
+def test_positions_that_contradict_the_velocity_next_to_them_are_reported(turning: Dive) -> None:
     reference = reference_of(turning)
     swapped = replace(reference, position=reference.position[:, [1, 0, 2]])
     assert "reference_contradiction" in notes_of(replace(turning, reference=swapped))
@@ -210,7 +210,7 @@ def test_positions_that_contradict_the_velocity_beside_them_are_told(turning: Di
     assert "reference_contradiction" not in notes_of(replace(turning, reference=replace(reference, position=noisy)))
 
 
-def test_noise_of_a_vehicle_that_lies_still_contradicts_nobody() -> None:
+def test_noise_of_a_vehicle_that_is_still_contradicts_nobody() -> None:
     still = simulate_dive("static", duration_s=60.0, imu_rate_hz=50.0, seed=6)
     reference, rng = reference_of(still), np.random.default_rng(7)
     noise = mat_from_rpy(rng.normal(0.0, 0.3 * DEG, (len(reference.time_ns), 3)))
@@ -249,7 +249,7 @@ def turned(dvl: DvlColumns, heading_deg: float, scale: float = 1.0) -> DvlColumn
 
 
 @pytest.mark.parametrize("heading_deg", [180.0, 92.0, -45.0])
-def test_dvl_that_looks_another_way_is_told_how_to_mount_it(heading_deg: float, turning: Dive) -> None:
+def test_dvl_that_looks_another_way_is_reported_how_to_mount_it(heading_deg: float, turning: Dive) -> None:
     dive = replace(turning, dvl=turned(turning.dvl, heading_deg))
     note = notes_of(dive)["dvl_direction"]
     hinted_deg = float(note.hint.split("]")[0].rsplit(",", 1)[1])
@@ -258,7 +258,7 @@ def test_dvl_that_looks_another_way_is_told_how_to_mount_it(heading_deg: float, 
     assert not notes_of(dive, config)
 
 
-def test_dvl_of_another_scale_is_told(turning: Dive) -> None:
+def test_dvl_of_another_scale_is_reported(turning: Dive) -> None:
     note = notes_of(replace(turning, dvl=turned(turning.dvl, 0.0, scale=1.3)))["dvl_scale"]
     assert "dvl.scale = 1.3" in note.hint
     note = notes_of(positions_only(replace(turning, dvl=turned(turning.dvl, 0.0, scale=1.3))))["dvl_scale"]
@@ -325,7 +325,7 @@ def test_beams_in_another_order_contradict_the_reference(turning: Dive) -> None:
     assert "dvl.beam_azimuth_deg" in note.hint
 
 
-def test_reference_that_never_moves_is_told(turning: Dive) -> None:
+def test_reference_that_never_moves_is_reported(turning: Dive) -> None:
     reference = reference_of(turning)
     still = replace(
         reference,
@@ -346,13 +346,13 @@ def test_reversed_dvl_shows_in_the_track_where_the_heading_is_known(turning: Div
     assert not notes_of(reversed_), "without a heading, a reversed DVL and a reversed vehicle are the same"
 
 
-def test_track_that_cannot_be_is_told(turning: Dive) -> None:
+def test_track_that_cannot_be_is_reported(turning: Dive) -> None:
     biased = replace(turning.imu, angular_rate_b=turning.imu.angular_rate_b + np.array([0.0, 0.0, 0.2]))
     note = notes_of(positions_only(replace(turning, imu=biased)))["track_contradiction"]
     assert "initial.gyro_bias_degph" in note.hint
 
 
-def test_pings_of_exactly_zero_are_told(turning: Dive) -> None:
+def test_pings_of_exactly_zero_are_reported(turning: Dive) -> None:
     dvl = turned(turning.dvl, 0.0)
     assert dvl.velocity_d is not None
     velocity_d = dvl.velocity_d.copy()
@@ -365,7 +365,7 @@ def test_pings_of_exactly_zero_are_told(turning: Dive) -> None:
 # Where nothing can be said, nothing is
 
 
-def test_few_samples_are_not_judged() -> None:
+def test_few_samples_are_not_evaluated() -> None:
     dive = simulate_dive("straight", duration_s=3.0, imu_rate_hz=50.0, seed=1)
     short = replace(dive.imu, time_ns=dive.imu.time_ns[:3])
     one = ImuColumns(short.time_ns[:1], dive.imu.specific_force_b[:1], dive.imu.angular_rate_b[:1])

@@ -74,7 +74,7 @@ def faster(scale: float) -> Change:
 # --- The scale.
 
 
-def test_honest_references_pass(turning: Dive, straight: Dive) -> None:
+def test_consistent_references_pass(turning: Dive, straight: Dive) -> None:
     assert found(turning) == [], "of 1 Hz, through turns at 17 deg/s"
     assert found(straight) == []
     for seed in range(10):
@@ -83,7 +83,7 @@ def test_honest_references_pass(turning: Dive, straight: Dive) -> None:
 
 
 @pytest.mark.parametrize(("scale", "says"), [(1.006, "0.60 +- 0.00 % "), (0.995, "0.50 +- 0.00 % ")])
-def test_velocity_that_does_not_add_up_to_the_positions_is_told(turning: Dive, scale: float, says: str) -> None:
+def test_velocity_that_does_not_add_up_to_the_positions_is_reported(turning: Dive, scale: float, says: str) -> None:
     (note,) = found(turning, faster(scale))
     assert (note.code, note.severity) == ("reference_scale", "warning")
     assert says in note.text
@@ -136,7 +136,7 @@ def test_velocities_of_another_topic_are_compared_between_their_rows(turning: Di
 
 @pytest.mark.parametrize("velocity", [True, False], ids=["velocity", "positions alone"])
 @pytest.mark.parametrize("noise_m", [0.0, 1.0])
-def test_jump_of_the_positions_is_told(straight: Dive, velocity: bool, noise_m: float) -> None:
+def test_jump_of_the_positions_is_reported(straight: Dive, velocity: bool, noise_m: float) -> None:
     def change(reference: ReferenceColumns) -> ReferenceColumns:
         changed = noisy(noise_m, 3)(jumped(20.0, 100.2)(reference))
         return changed if velocity else without_velocity(changed)
@@ -148,7 +148,7 @@ def test_jump_of_the_positions_is_told(straight: Dive, velocity: bool, noise_m: 
     assert size_m == pytest.approx(20.0, abs=0.1 + 4.0 * noise_m)
 
 
-def test_jump_in_a_turn_is_told_and_the_turn_is_not(turning: Dive) -> None:
+def test_jump_in_a_turn_is_reported_and_the_turn_is_not(turning: Dive) -> None:
     assert found(turning, without_velocity) == []
     (note,) = found(turning, lambda reference: without_velocity(jumped(5.0, 104.5)(reference)))
     assert note.code == "reference_jump"
@@ -172,7 +172,7 @@ def turned_from(at_s: float, heading_deg: float) -> Change:
     return change
 
 
-def test_heading_that_jumps_while_the_gyros_do_not_is_told(turning: Dive) -> None:
+def test_heading_that_jumps_while_the_gyros_do_not_is_reported(turning: Dive) -> None:
     (note,) = found(turning, turned_from(50.5, 12.0))
     assert (note.code, note.count) == ("reference_jump", 1)
     assert re.search(r"attitudes .*\b1 of 394 .*\b12\.0 deg .*\b51\.0 s", note.text)

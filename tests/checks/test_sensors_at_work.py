@@ -78,7 +78,7 @@ def test_readings_of_the_reference_are_known_behind_any_latency(
 # --- What a heading that follows nothing is said to be.
 
 
-def test_a_heading_astray_is_told_by_what_was_computed() -> None:
+def test_a_heading_astray_is_reported_by_what_was_computed() -> None:
     """Spread evenly over 240 deg, half of it is more than 60 deg off the middle."""
     time_ns = np.arange(201) * SECOND
     off = np.deg2rad(np.linspace(-120.0, 120.0, 201) + 30.0)
@@ -94,13 +94,13 @@ def test_a_heading_astray_is_told_by_what_was_computed() -> None:
 @pytest.mark.parametrize(
     ("surface_m", "told"), [(None, []), (1.5, []), (-0.5, []), (10.0, ["above"]), (-10.0, ["below"])]
 )
-def test_a_gauge_with_another_zero_than_the_references_is_told(
+def test_a_depth_sensor_with_another_zero_than_the_references_is_reported(
     moving: ReferenceColumns, surface_m: float | None, told: list[str]
 ) -> None:
     """It reads absolute pressure, or its zero is that of another surface."""
-    gauge = {"depth": SensorColumns(moving.time_ns, 0.4 - moving.position[:, 2:])}
+    depth_sensor = {"depth": SensorColumns(moving.time_ns, 0.4 - moving.position[:, 2:])}
     arm = Depth(surface_height_m=surface_m, lever_arm_m=(0.0, 0.0, 0.4))
-    notes = contradiction_notes(gauge, moving, arm)
+    notes = contradiction_notes(depth_sensor, moving, arm)
     assert [(note.code, note.severity) for note in notes] == [("depth_contradiction", "warning")] * len(told)
     for note, where in zip(notes, told, strict=True):
         assert re.search(rf"\b10\.00 m {where} .*\b301 ", note.text)
@@ -114,10 +114,10 @@ def test_a_gauge_with_another_zero_than_the_references_is_told(
 def test_first_depth_is_held_against_the_height_at_the_start_without_a_reference(
     moving: ReferenceColumns, surface_m: float | None, late_s: float, told: int
 ) -> None:
-    gauge = {"depth": SensorColumns(moving.time_ns + round(late_s * SECOND), -moving.position[:, 2:])}
+    depth_sensor = {"depth": SensorColumns(moving.time_ns + round(late_s * SECOND), -moving.position[:, 2:])}
     start = moving.rows(np.arange(len(moving.time_ns)) == 0)
     config = Config(depth=Depth(surface_height_m=surface_m))
-    notes = depth_at_start_notes(gauge, None, start, config)
+    notes = depth_at_start_notes(depth_sensor, None, start, config)
     assert [note.code for note in notes] == ["depth_contradiction"] * told
     assert all(f"m {'above' if (surface_m or 0.0) > 0.0 else 'below'} " in note.text for note in notes)
-    assert depth_at_start_notes(gauge, moving, start, config) == (), "the reference tells"
+    assert depth_at_start_notes(depth_sensor, moving, start, config) == (), "the reference tells"

@@ -323,7 +323,7 @@ def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, di
 
 
 @pytest.mark.parametrize(("flags", "traceback"), [([], False), (["-v"], False), (["-vv"], True)])
-def test_our_mistake_is_exit_4_and_shows_its_place_only_when_asked(
+def test_our_error_is_exit_4_and_shows_its_place_only_when_asked(
     flags: list[str],
     traceback: bool,
     dive: Path,

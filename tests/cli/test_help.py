@@ -83,7 +83,7 @@ def test_every_command_has_two_examples_of_itself() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("name", "example"), EXAMPLES, ids=[line for _, line in EXAMPLES])
-def test_example_runs_as_it_stands(
+def test_example_runs_as_it_is(
     name: str, example: str, workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "here"

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from insdvl_replay.changes.formats import github_annotations
-from insdvl_replay.changes.gates import CheckResult, Judgement
+from insdvl_replay.changes.gates import CheckResult, GateOutcome
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import visible, visible_lines, without_commands
@@ -131,8 +131,8 @@ def test_a_block_of_code_is_not_left() -> None:
 
 
 def test_annotations_are_commands_of_ours_alone() -> None:
-    judgements = (Judgement(DIVE, f"gate{HOSTILE}", "failed", (f"::{HOSTILE}", "b")),)
-    first, last = github_annotations(CheckResult(f"gates{HOSTILE}.toml", judgements)).splitlines()
+    outcomes = (GateOutcome(DIVE, f"gate{HOSTILE}", "failed", (f"::{HOSTILE}", "b")),)
+    first, last = github_annotations(CheckResult(f"gates{HOSTILE}.toml", outcomes)).splitlines()
     assert first.startswith("::error file=gates\\x0a%3A%3Aerror file=x")
     assert re.findall(r"\d+", last) == ["1", "1", "1"]
     assert not ACTING.search(first)
@@ -210,7 +210,7 @@ def test_the_last_line_of_stderr_is_the_reason(hostile: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("command", ["run", "inspect"])
-def test_a_name_that_no_dive_can_have_is_a_mistake_of_the_user(
+def test_a_name_that_no_dive_can_have_is_a_error_of_the_user(
     command: str, dive: str, reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # A name that is no text is a dive that cannot be used, beside others that can.

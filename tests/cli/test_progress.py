@@ -23,7 +23,7 @@ STAGES = [
 ]
 
 
-def test_a_replay_tells_each_of_its_stages(tmp_path: Path) -> None:
+def test_a_replay_reports_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
     [task] = plan_jobs([tmp_path / "dive.mcap"], tmp_path / "out", ReplayOptions(load_config()))
     told: list[str] = []

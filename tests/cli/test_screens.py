@@ -25,7 +25,7 @@ from rich.console import Console
 
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Report
-from insdvl_replay.core.words import Belief, EvidenceWord, GateStatus, Judgement
+from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Prediction, Verdict
 from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
 from insdvl_replay.show.dive import dive_screen
 from insdvl_replay.show.dives import Failure, dives_screen
@@ -127,12 +127,12 @@ def plain(text: str) -> str:
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
 
 
-def judged(name: str, judgement: Judgement, ratio: float = 0.8) -> Report:
+def judged(name: str, verdict: Verdict, ratio: float = 0.8) -> Report:
     """One report of a dive of this name, with this word and a first piece of evidence of this ratio."""
     made = report(name)
     first, *others = made.tables.evidence
     rows = [replace(first, value=ratio, ratio=ratio, low=0.9 * ratio, high=1.1 * ratio), *others]
-    aided = replace(made.filters["aided"], improvement=judgement)
+    aided = replace(made.filters["aided"], improvement=verdict)
     log = replace(made.log, name=name)
     return replace(made, log=log, filters={"aided": aided}, tables=replace(made.tables, evidence=rows))
 
@@ -144,10 +144,10 @@ def rendered(document: list[object], width: int = 80) -> str:
 
 
 def thirteen() -> list[Report | Failure]:
-    words = {"best": Judgement.BETTER, "worse": Judgement.WORSE, "dead": Judgement.NOT_EVALUATED}
+    words = {"best": Verdict.BETTER, "worse": Verdict.WORSE, "dead": Verdict.NOT_EVALUATED}
     ratios = {"worse": 1.4, "wide": 123.4}
     made: list[Report | Failure] = [
-        judged(name, words.get(name, Judgement.UNDECIDED), ratios.get(name, 0.8)) for name in THIRTEEN
+        judged(name, words.get(name, Verdict.UNDECIDED), ratios.get(name, 0.8)) for name in THIRTEEN
     ]
     made[1] = Failure("wide", "wide.mcap: is empty")
     return made
@@ -169,7 +169,7 @@ def test_thirteen_dives_have_a_row_each_below_what_they_say_together() -> None:
 
 @pytest.mark.parametrize(("dives", "words"), [(2, "undecided"), (3, "BETTER")])
 def test_three_dives_that_agree_decide_over_dives(dives: int, words: str) -> None:
-    reports = [judged(f"dive {number}", Judgement.UNDECIDED) for number in range(dives)]
+    reports = [judged(f"dive {number}", Verdict.UNDECIDED) for number in range(dives)]
     heading, _, pooled, *_ = screen_lines(rendered(list(dives_screen(reports, "index.html"))))
     assert "ratio" in heading
     assert f"{dives}/{dives}" in pooled
@@ -179,7 +179,7 @@ def test_three_dives_that_agree_decide_over_dives(dives: int, words: str) -> Non
 
 
 def test_above_twenty_dives_only_the_failed_and_the_worst_have_rows() -> None:
-    many = [judged(f"dive {number}", Judgement.UNDECIDED, 0.5 + 0.01 * number) for number in range(1, 26)]
+    many = [judged(f"dive {number}", Verdict.UNDECIDED, 0.5 + 0.01 * number) for number in range(1, 26)]
     text = rendered(list(dives_screen([*many, Failure("gone", "gone.mcap: is empty")], "index.html")))
     found = re.findall(r"^(dive \d+|gone) ", text, re.MULTILINE)
     assert found == ["dive 23", "dive 24", "dive 25", "gone"]
@@ -187,18 +187,18 @@ def test_above_twenty_dives_only_the_failed_and_the_worst_have_rows() -> None:
     assert len(screen_lines(text)) <= ROWS
 
 
-@pytest.mark.parametrize("judgement", list(Judgement))
-def test_every_word_on_a_filter_stands_on_the_screen(judgement: Judgement) -> None:
-    text = rendered(list(dive_screen(judged("dive", judgement), "report.html")))
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_every_word_on_a_filter_is_on_the_screen(verdict: Verdict) -> None:
+    text = rendered(list(dive_screen(judged("dive", verdict), "report.html")))
     line = next(line for line in text.split("\n") if line.startswith("aided against baseline: "))
-    assert line.partition(": ")[2].lower() == judgement
-    assert ("it believes in" in text) == (judgement != Judgement.NOT_EVALUATED), (
+    assert line.partition(": ")[2].lower() == verdict
+    assert ("it believes in" in text) == (verdict != Verdict.NOT_EVALUATED), (
         "nothing is believed of what is not evaluated"
     )
 
 
 def test_words_come_from_the_enums() -> None:
-    known = {*EvidenceWord, *Judgement, *Belief, *GateStatus}
+    known = {*EvidenceVerdict, *Verdict, *Prediction, *GateStatus}
     last = [line.split("  ")[-1].lower() for line in plain((GOLDEN / "dive_80.txt").read_text()).split("\n")]
     words = {word for word in last if re.fullmatch(r"[a-z]+( [a-z]+)?", word)}
     assert words
@@ -217,7 +217,7 @@ def test_three_candidates_have_a_row_each() -> None:
     assert [line.split()[0] for line in lines[10:13]] == list(filters)
 
 
-def test_the_reference_keeps_its_rate_beside_a_solution_that_says_little() -> None:
+def test_the_reference_keeps_its_rate_next_to_a_solution_that_says_little() -> None:
     made = report()
     little = [replace(row, samples=row.samples // 4) for row in made.tables.reference_error]
     text = rendered(
@@ -226,7 +226,7 @@ def test_the_reference_keeps_its_rate_beside_a_solution_that_says_little() -> No
     assert "reference 1 Hz" in screen_lines(text)[0]
 
 
-def test_a_belief_in_larger_errors_is_told_without_a_sign() -> None:
+def test_a_prediction_in_larger_errors_is_reported_without_a_sign() -> None:
     made = report()
     lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)
     text = rendered(list(dive_screen(replace(made, filters={"aided": lost}), "report.html")))

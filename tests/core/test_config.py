@@ -92,7 +92,7 @@ def test_any_value_survives_being_written_as_toml(
         (f"{RUN}solution = {{ tpic = '/o' }}", ": ", "'filters.b.solution.tpic'", "filters.b.solution.topic"),
     ],
 )
-def test_a_mistake_in_a_file_is_told_with_place_and_hint(
+def test_a_error_in_a_file_is_reported_with_place_and_hint(
     text: str, key: str, value: str, hint: str, tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigError) as caught:
@@ -103,7 +103,7 @@ def test_a_mistake_in_a_file_is_told_with_place_and_hint(
 
 
 @pytest.mark.parametrize("override", ["dvl.scale", "scale=3", "dvl.scle=3", "dvl.kind=boat", "dvl.scale=nan"])
-def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str) -> None:
+def test_a_error_on_the_command_line_is_reported_with_its_own_words(override: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=["dvl.scale=1.5", override])
     assert caught.value.message.startswith(f"--set {override}: ")
@@ -118,13 +118,13 @@ def test_a_mistake_on_the_command_line_is_told_with_its_own_words(override: str)
         ("[dvl]\n\n'scale - at `$.kind`' = 1", ": key 'dvl.scale - at `$.kind`' "),
     ],
 )
-def test_a_mistake_in_a_file_is_told_with_its_key(text: str, place: str, tmp_path: Path) -> None:
+def test_a_error_in_a_file_is_reported_with_its_key(text: str, place: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, text))
     assert caught.value.message.startswith(f"{tmp_path / 'vehicle.toml'}{place}")
 
 
-def test_a_state_is_told_by_a_sensor_that_is_withheld_too(tmp_path: Path) -> None:
+def test_a_state_is_reported_by_a_sensor_that_is_held_out_too(tmp_path: Path) -> None:
     """How far a filter's depth may differ from a gauge hangs on the zero of the gauge."""
     path = tmp_path / "vehicle.toml"
     text = '[filters.a]\naiding = ["velocity"]\nstates = ["position", "depth_zero"]\n'
@@ -135,7 +135,7 @@ def test_a_state_is_told_by_a_sensor_that_is_withheld_too(tmp_path: Path) -> Non
     assert load_config(None, path, []).filters["a"].states == ("position", "depth_zero")
 
 
-def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
+def test_a_mistyped_word_is_reported_the_nearest_one(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(file=written(tmp_path, '[dvl]\nkind = "beam"'))
     assert "beams" in caught.value.hint
@@ -154,7 +154,7 @@ def test_a_mistyped_word_is_told_the_nearest_one(tmp_path: Path) -> None:
         ("gps.topic='/fix'", "position"),
     ],
 )
-def test_a_key_that_is_not_known_is_told_the_one_that_was_meant(override: str, meant: str) -> None:
+def test_a_key_that_is_not_known_is_reported_the_one_that_was_meant(override: str, meant: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[override])
     assert f" {meant}?" in caught.value.hint
@@ -170,7 +170,7 @@ def test_a_key_that_is_not_known_is_told_the_one_that_was_meant(override: str, m
         ("dvl.lever_arm_m=[1, 2]", "dvl.lever_arm_m=[0.0, 0.0, 0.0]"),
     ],
 )
-def test_what_is_no_list_is_told_how_one_is_written(override: str, taken: str) -> None:
+def test_what_is_no_list_is_reported_how_one_is_written(override: str, taken: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[override])
     assert f"--set '{taken}'" in caught.value.hint
@@ -183,7 +183,7 @@ def test_a_list_in_a_file_is_written_as_toml(tmp_path: Path) -> None:
     assert 'evaluation.held_out = ["depth"]' in caught.value.hint
 
 
-def test_a_word_that_is_not_known_is_told_where_it_was_said(tmp_path: Path) -> None:
+def test_a_word_that_is_not_known_is_reported_where_it_was_said(tmp_path: Path) -> None:
     file = written(tmp_path, f"[evaluation]\nheld_out = ['gps']\n{RUN}aiding = ['speed']")
     with pytest.raises(ConfigError, match=r"vehicle.toml: evaluation.held_out\[0\] 'gps'"):
         load_config(file=file)
@@ -204,13 +204,13 @@ def test_a_bare_word_is_a_string() -> None:
     assert load_config(overrides=["imu.axes=flu"]).imu.axes == "flu"
 
 
-def test_unknown_preset_is_told_the_known_ones() -> None:
+def test_unknown_preset_is_reported_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="'phog'") as caught:
         load_config("phog")
     assert "fog" in caught.value.hint
 
 
-def test_unreadable_files_are_told(tmp_path: Path) -> None:
+def test_unreadable_files_are_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent\.toml: "):
         load_config(file=tmp_path / "absent.toml")
     (tmp_path / "image.toml").write_bytes(b"\x89PNG\xff")
@@ -228,7 +228,7 @@ def test_unreadable_files_are_told(tmp_path: Path) -> None:
         ("dvl.topic=\udcff", "UTF-8"),
     ],
 )
-def test_numbers_and_words_beyond_all_measure_are_mistakes_of_the_user(setting: str, value: str) -> None:
+def test_numbers_and_words_beyond_all_measure_are_errors_of_the_user(setting: str, value: str) -> None:
     with pytest.raises(ConfigError, match=value):
         load_config(overrides=[setting])
 
@@ -239,21 +239,21 @@ def test_a_file_beyond_all_measure_is_not_valid(value: str, tmp_path: Path) -> N
         load_config(file=written(tmp_path, f"[dvl]\nscale = {value}\n"))
 
 
-def test_a_file_beside_the_settings_is_found_again_and_held_fast(
+def test_a_file_next_to_the_settings_is_found_again_and_held_fast(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Resolved settings lie in a result folder; there the file is another one if a byte of it has changed."""
     (tmp_path / "there").mkdir()
-    flown = tmp_path / "there" / "flown.tum"
-    flown.write_text("0 0 0 0 0 0 0 1\n")
+    onboard = tmp_path / "there" / "flown.tum"
+    onboard.write_text("0 0 0 0 0 0 0 1\n")
     file = written(tmp_path / "there", f'{RUN}solution = "flown.tum"\n')
     monkeypatch.chdir(tmp_path)
     config = load_config(file=file.relative_to(tmp_path))
     (solution,) = config.solutions.values()
-    assert (solution.file, solution.topic) == (str(flown), None)
+    assert (solution.file, solution.topic) == (str(onboard), None)
     resolved = written(tmp_path, render_toml(config))
     assert load_config(file=resolved) == config
-    flown.write_text("0 0 0 0 0 0 0 2\n")
+    onboard.write_text("0 0 0 0 0 0 0 2\n")
     assert load_config(file=file) != config
     with pytest.raises(ConfigError, match=r"flown\.tum"):
         load_config(file=resolved)

@@ -33,6 +33,6 @@ def test_numpy_asks_for_huge_pages_only_if_the_user_wants_it(wish: str | None) -
     assert result.returncode == int(wish or "0")
 
 
-def test_a_failure_for_want_of_memory_is_told_as_one(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failure_for_want_of_memory_is_reported_as_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert log_failure(MemoryError("24 GiB"), 0) == 3
     assert "memory: 24 GiB; hint: " in capsys.readouterr().err

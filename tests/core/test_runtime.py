@@ -50,14 +50,14 @@ def test_processes_that_start_at_once_compile_side_by_side_and_agree(tmp_path: P
 
 
 @pytest.mark.nightly
-def test_compile_says_where_the_code_lies_and_how_long_it_took(tmp_path: Path) -> None:
+def test_compile_says_where_the_code_is_and_how_long_it_took(tmp_path: Path) -> None:
     printed, errors = started(tmp_path, "compile").communicate()
     (folder,) = (path for path in tmp_path.iterdir() if any(path.rglob("*")))
     assert re.fullmatch(rf"compiled in \d+\.\d s: {re.escape(str(folder))}\n", printed), errors
     assert re.fullmatch(rf".*already.*: {re.escape(str(folder))}\n", started(tmp_path, "compile").communicate()[0])
 
 
-def test_compile_without_a_place_for_the_code_is_a_users_mistake(tmp_path: Path) -> None:
+def test_compile_without_a_place_for_the_code_is_a_users_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     process = started(tmp_path / "file" / "cache", "compile")
     _, errors = process.communicate()

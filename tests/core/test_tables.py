@@ -9,7 +9,7 @@ from row_messages import message_definition
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.tables import LAYOUTS, TABLES, TableLayout, each_table
-from insdvl_replay.core.words import Judgement
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation import verdicts
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -33,9 +33,9 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
     ]
 
 
-def test_every_judgement_has_a_sentence_and_a_rank() -> None:
+def test_every_verdict_has_a_sentence_and_a_rank() -> None:
     candidates, *_ = LAYOUTS
-    assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Judgement.NOT_EVALUATED} == {*Judgement}
+    assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Verdict.NOT_EVALUATED} == {*Verdict}
 
 
 _OTHERS = "|".join(("beam_", "parity", "held_out_", *SENSORS))

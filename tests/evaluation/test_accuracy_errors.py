@@ -65,16 +65,16 @@ def test_each_quantity_is_the_square_of_what_was_put_in(dive: Dive) -> None:
         "heading": HEADING_DEG,
     }
     units = {"m": {"drift_30s", "drift_60s", "drift_100m", "depth_60s"}, "deg": {"level", "heading"}}
-    for quantity, losses in found.items():
-        assert rms(losses.squared) == pytest.approx(expected[quantity], rel=0.02, abs=1e-9), quantity
-        assert losses.unit == next((unit for unit, names in units.items() if quantity in names), "m/s")
-        assert len(losses.squared) == FEWEST_STARTS - (quantity in units["deg"])
+    for quantity, squared_errors in found.items():
+        assert rms(squared_errors.squared) == pytest.approx(expected[quantity], rel=0.02, abs=1e-9), quantity
+        assert squared_errors.unit == next((unit for unit, names in units.items() if quantity in names), "m/s")
+        assert len(squared_errors.squared) == FEWEST_STARTS - (quantity in units["deg"])
 
 
 def test_floors_are_what_the_reference_itself_errs_by(dive: Dive) -> None:
     """A drift is the difference of two positions, horizontal ones with two components."""
     found = accuracy_errors(drawn(dive), reference_of(dive), NOISE, bridged_gaps=False)
-    floors = {quantity: losses.floor for quantity, losses in found.items()}
+    floors = {quantity: squared_errors.floor for quantity, squared_errors in found.items()}
     assert floors == pytest.approx(
         {
             **dict.fromkeys(ALL[:3], 2.0 * NOISE.position_m),

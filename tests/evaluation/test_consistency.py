@@ -57,7 +57,7 @@ def test_interval_of_the_mean_is_scipys(count: int, confidence: float) -> None:
     np.testing.assert_allclose(mean_interval(3, count, confidence), expected, rtol=1e-9)
 
 
-def test_interval_holds_the_mean_of_19_in_20_honest_filters() -> None:
+def test_interval_holds_the_mean_of_19_in_20_consistent_filters() -> None:
     draws = np.random.default_rng(11).chisquare(3, (2000, 50))
     low, high = mean_interval(3, 50)
     inside = np.mean((draws.mean(axis=1) >= low) & (draws.mean(axis=1) <= high))
@@ -85,7 +85,7 @@ def test_verdict_between_2_and_4(mean: float, word: str) -> None:
 
 
 @pytest.mark.parametrize(("mean", "word"), [(3.29, "consistent"), (3.31, "overconfident"), (2.69, "conservative")])
-def test_verdict_asks_for_size_beside_significance(mean: float, word: str) -> None:
+def test_verdict_asks_for_size_next_to_significance(mean: float, word: str) -> None:
     assert consistency_verdict(mean, 2.99, 3.01, dof=3)[0] == word
 
 
@@ -139,7 +139,7 @@ def with_innovations(innovation_b: Floats, sd_b: Floats, used: NDArray[np.bool_]
     return table.set_index("measurement")
 
 
-def test_axes_are_judged_each_by_its_own_variance() -> None:
+def test_axes_are_evaluated_each_by_its_own_variance() -> None:
     """Too sure along x and not sure enough along z make a mean that looks right."""
     rng, sd_b = np.random.default_rng(3), np.tile([0.1, 0.2, 0.3], (2000, 1))
     innovation_b = rng.standard_normal((2000, 3)) * sd_b * np.sqrt([1.9, 1.0, 0.1])
@@ -180,7 +180,7 @@ def test_filter_that_rejects_what_it_meets_is_over_confident(used: int) -> None:
     assert (row["used"], row["rejected"], row["verdict"]) == (used, 100 - used, "overconfident")
 
 
-def test_too_few_updates_are_not_judged() -> None:
+def test_too_few_updates_are_not_evaluated() -> None:
     row = judged(np.full(FEWEST_UPDATES - 1, 3.0), np.zeros(FEWEST_UPDATES - 1))
     assert (row["used"], row["rejected"], row["verdict"]) == (0, FEWEST_UPDATES - 1, "insufficient data")
     assert row[["mean_nis", "low", "high", "autocorrelation", "autocorrelation_limit"]].isna().all()
@@ -244,7 +244,7 @@ def test_gate_that_rejects_more_than_outliers_is_a_warning() -> None:
     assert "filters.many.gate_probability" in warning.hint
 
 
-def test_a_reopened_filter_is_told_though_something_that_aids_it_was_never_met() -> None:
+def test_a_reopened_filter_is_reported_though_something_that_aids_it_was_never_met() -> None:
     made, (never,) = history("one", np.full(30, 3.0)), history("one", np.empty(0)).innovations
     set_again = replace(made.innovations[0], reopened=np.arange(30) == 4)
     (_, reopened) = update_notes((replace(made, innovations=(set_again, replace(never, measurement="acceleration"))),))

@@ -22,7 +22,7 @@ def credibility(filter_: str, groups: Sequence[Group]) -> list[CredibilityRow]:
     ]
 
 
-def honesty(
+def consistency(
     consistency: Sequence[ConsistencyRow] = (), before: Sequence[Group] = (), after: Sequence[Group] = ()
 ) -> dict[str, EvidenceRow]:
     rows = [*credibility("baseline", before), *credibility("aided", after)]
@@ -55,19 +55,19 @@ FINE = ("velocity", 1.0, "consistent")
 def test_gravest_group_of_errors_decides(
     before: list[Group], after: list[Group], values: tuple[float, float], word: str
 ) -> None:
-    row = honesty(before=before, after=after)["nees"]
+    row = consistency(before=before, after=after)["nees"]
     assert (row.baseline, row.value) == pytest.approx(values)
-    assert row.word == word
+    assert row.verdict == word
 
 
 def test_no_group_that_was_compared_gives_no_row() -> None:
-    assert not honesty(before=[("velocity", np.nan, "no reference")], after=[("velocity", np.nan, "no reference")])
+    assert not consistency(before=[("velocity", np.nan, "no reference")], after=[("velocity", np.nan, "no reference")])
 
 
 def test_rejected_pings_count_against_the_filter_that_rejects_them() -> None:
     """A filter that is surprised by a third of the pings, and hears none of them, is not the more honest for that."""
     surprised = np.where(np.arange(300) % 3 == 0, 1e4, 3.0)
     gated = history("aided", surprised, surprised < GATE)
-    row = honesty(consistency_table("dive", (history("baseline", np.full(300, 3.0)), gated)))["nis"]
+    row = consistency(consistency_table("dive", (history("baseline", np.full(300, 3.0)), gated)))["nis"]
     assert (row.baseline, row.value) == pytest.approx((1.0, (2.0 * 3.0 + GATE) / 9.0))
-    assert row.word == "worse"
+    assert row.verdict == "worse"

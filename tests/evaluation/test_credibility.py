@@ -125,7 +125,7 @@ def test_error_that_stays_can_only_be_too_large(sigmas: float, word: str) -> Non
 
 
 @pytest.mark.parametrize(("times", "word"), [(1.0, "consistent"), (10.0, "overconfident")])
-def test_rare_large_errors_are_found_though_their_mean_square_is_as_believed(times: float, word: str) -> None:
+def test_rare_large_errors_are_found_though_their_mean_square_is_as_predicted(times: float, word: str) -> None:
     """Every twentieth error is ``times`` as large as the others."""
     errors = drawn()
     error = errors.error * np.where(np.arange(K) % 20 == 0, times, 1.0)[:, None]
@@ -167,7 +167,7 @@ def hanging_on_heading(sigmas: float) -> StateErrors:
 
 
 @pytest.mark.parametrize(("sigmas", "word"), [(1.0, "consistent"), (0.4, "conservative")])
-def test_velocity_that_hangs_on_the_heading_is_judged_by_what_is_its_own(sigmas: float, word: str) -> None:
+def test_velocity_that_hangs_on_the_heading_is_evaluated_by_what_is_its_own(sigmas: float, word: str) -> None:
     row = judged(hanging_on_heading(sigmas)).loc["velocity_n"]
     assert row["mean_nees"] == pytest.approx(0.1 * sigmas**2, rel=0.11)
     assert row["verdict"] == word
@@ -318,7 +318,7 @@ def test_filter_that_knows_its_noise_is_credible_and_the_published_model_is_not(
         assert table.loc[("published", quantity), "verdict"] == "overconfident", "it leaves out w x v"
     verdict = replay.verdicts["published"]
     assert verdict.credibility == "overconfident"
-    assert re.search(r"published .*overconfident.*baseline .*consistent", verdict.verdict)
+    assert re.search(r"published .*overconfident.*baseline .*consistent", verdict.sentence)
 
 
 def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
@@ -332,12 +332,12 @@ def test_straight_line_gives_no_false_words_on_what_its_heading_hides() -> None:
         assert table.loc["velocity", "verdict"] == "consistent"
 
 
-def test_settings_of_the_paper_are_over_cautious_for_a_fibre_optic_imu() -> None:
+def test_settings_of_the_paper_are_conservative_for_a_fibre_optic_imu() -> None:
     replay = replay_dive(simulate_dive("figure-eight", duration_s=200.0, imu_rate_hz=50.0), Config())
     assert set(rows(replay).xs("all", level="quantity")["verdict"]) == {"conservative"}
 
 
-def test_biases_are_judged_where_the_truth_is_known(exact: Dive) -> None:
+def test_biases_are_evaluated_where_the_truth_is_known(exact: Dive) -> None:
     dive = add_errors(exact, *matched_errors(MATCHED), 1)
     with_truth, without_truth = (rows(replay_dive(d, MATCHED)) for d in (dive, replace(dive, truth=None)))
     biases = [state.id for state in STATES[BA.start :]]

@@ -30,9 +30,9 @@ def test_rms_is_of_the_drawn_starts_over_the_last_tenth_of_the_time() -> None:
     for name, size in (("baseline", 0.5), ("aided", 0.1)):
         expected = size * END_S / level.time_s[late] * np.sqrt(mean_square)
         np.testing.assert_allclose(level.rms[name][late], expected, rtol=0.02)
-        np.testing.assert_allclose(level.believed[name], 3.0 * size)
+        np.testing.assert_allclose(level.predicted[name], 3.0 * size)
     np.testing.assert_allclose(curves["velocity"].rms["aided"], np.sqrt(2.0) * curves["heading"].rms["aided"])
-    np.testing.assert_allclose(curves["velocity"].believed["aided"], np.sqrt(2.0) * 0.3)
+    np.testing.assert_allclose(curves["velocity"].predicted["aided"], np.sqrt(2.0) * 0.3)
 
 
 def test_curves_fall_below_the_limit_at_the_times_of_the_table() -> None:
@@ -57,7 +57,7 @@ def test_a_long_dive_has_hardly_more_points_than_a_short_one() -> None:
     """Nine hours at 5 Hz, as thinned as drawn runs are, take 40 KB for two filters."""
     curves = convergence_curves([drawn("baseline", 0.5), drawn("aided", 0.1)]).values()
     held = sum(
-        one.time_s.nbytes + sum(of_one.nbytes for of_one in (*one.rms.values(), *one.believed.values()))
+        one.time_s.nbytes + sum(of_one.nbytes for of_one in (*one.rms.values(), *one.predicted.values()))
         for one in curves
     )
     assert held < 50_000

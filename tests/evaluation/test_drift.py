@@ -45,10 +45,10 @@ def growing(k: int, per_s: tuple[float, float, float]) -> Floats:
 
 def going(k: int, velocity_n: Floats) -> ReferenceColumns:
     """A reference whose positions are the sum of its velocities, once a second."""
-    way_m = np.cumsum(np.broadcast_to(velocity_n, (k, 3)), axis=0)
+    moved_m = np.cumsum(np.broadcast_to(velocity_n, (k, 3)), axis=0)
     return ReferenceColumns(
-        errors_of(way_m).time_ns,
-        moved_position(np.tile(START, (k, 1)), way_m),
+        errors_of(moved_m).time_ns,
+        moved_position(np.tile(START, (k, 1)), moved_m),
         np.array(np.broadcast_to(velocity_n, (k, 3))),
         np.full((k, 3, 3), np.nan),
     )

@@ -26,7 +26,7 @@ def errors(rng: np.random.Generator, rho: float = 0.5, starts: int = STARTS) -> 
     return drawn
 
 
-def losses(of_one: Floats, floor: float = 0.0) -> SquaredErrors:
+def squared_errors(of_one: Floats, floor: float = 0.0) -> SquaredErrors:
     return SquaredErrors("m", of_one**2, 1, floor)
 
 
@@ -47,17 +47,17 @@ def evidence(
     return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}
 
 
-def test_gain_and_loss_are_told_with_their_numbers() -> None:
+def test_gain_and_loss_are_reported_with_their_numbers() -> None:
     rng = np.random.default_rng(1)
     common = errors(rng)
     rows = evidence(
         {
-            "drift_30s": (losses(common), losses(0.5 * errors(rng))),
-            "velocity_along": (losses(common), losses(2.0 * errors(rng))),
-            "level": (losses(common), losses(1.01 * common)),
+            "drift_30s": (squared_errors(common), squared_errors(0.5 * errors(rng))),
+            "velocity_along": (squared_errors(common), squared_errors(2.0 * errors(rng))),
+            "level": (squared_errors(common), squared_errors(1.01 * common)),
         }
     )
-    assert [(row.quantity, row.word) for row in rows.values()] == [
+    assert [(row.quantity, row.verdict) for row in rows.values()] == [
         ("drift_30s", "better"),
         ("velocity_along", "worse"),
         ("level", "equivalent"),
@@ -73,7 +73,7 @@ def test_values_are_of_this_dive_and_the_ratio_of_drawn_starts() -> None:
     """The dive's own start does not err: its levels are far smaller than those that drawn starts leave behind."""
     rng = np.random.default_rng(5)
     drawn, own = errors(rng), errors(rng, starts=1)[0]
-    before, after = (losses(factor * drawn)._replace(own=(factor * 0.1 * own) ** 2) for factor in (1.0, 0.5))
+    before, after = (squared_errors(factor * drawn)._replace(own=(factor * 0.1 * own) ** 2) for factor in (1.0, 0.5))
     row = evidence({"level": (before, after)})["level"]
     assert (row.baseline, row.ratio) == (pytest.approx(0.1 * np.sqrt(np.mean(own**2))), pytest.approx(0.5))
     assert row.starts == STARTS
@@ -82,7 +82,7 @@ def test_values_are_of_this_dive_and_the_ratio_of_drawn_starts() -> None:
 def test_track_of_one_dive_decides_nothing() -> None:
     track = {"aided": {"position": (2.0, 1.0), "depth": (0.0, 0.1)}}
     rows = evidence_table("dive", "baseline", ["aided"], Measured(track=track), (), ())
-    assert [(row.evidence, row.quantity, row.unit, row.word) for row in rows] == [
+    assert [(row.evidence, row.quantity, row.unit, row.verdict) for row in rows] == [
         ("track", "position", "m", "undecided"),
         ("track", "depth", "m", "undecided"),
     ]
@@ -94,13 +94,15 @@ def test_track_of_one_dive_decides_nothing() -> None:
 def test_differences_below_what_the_reference_errs_by_are_none(floor: float, word: str) -> None:
     rng = np.random.default_rng(2)
     assert (
-        evidence({"drift_30s": (losses(errors(rng), floor), losses(0.5 * errors(rng), floor))})["drift_30s"].word
+        evidence({"drift_30s": (squared_errors(errors(rng), floor), squared_errors(0.5 * errors(rng), floor))})[
+            "drift_30s"
+        ].verdict
         == word
     )
 
 
 def equal_filters(rng: np.random.Generator) -> dict[str, tuple[SquaredErrors, SquaredErrors]]:
-    return {quantity: (losses(errors(rng)), losses(errors(rng))) for quantity in PIECES}
+    return {quantity: (squared_errors(errors(rng)), squared_errors(errors(rng))) for quantity in PIECES}
 
 
 @pytest.mark.nightly
@@ -108,18 +110,18 @@ def test_of_many_pieces_on_equal_filters_none_is_better_or_worse_by_chance() -> 
     """Seven pieces a dive, each with independent errors: with words of 5 % each, every third dive would have one."""
     rng = np.random.default_rng(3)
     dives = [evidence(equal_filters(rng)) for _ in range(150)]
-    decided = [any(row.word in {"better", "worse"} for row in rows.values()) for rows in dives]
+    decided = [any(row.verdict in {"better", "worse"} for row in rows.values()) for rows in dives]
     assert np.mean(decided) <= 0.07, "a p of 0.01 each, and the margin"
     assert all(len(rows) == len(PIECES) for rows in dives)
 
 
 def test_the_number_that_decides_is_printed() -> None:
     rng = np.random.default_rng(4)
-    pairs = {quantity: (losses(errors(rng)), losses(share * errors(rng)))
+    pairs = {quantity: (squared_errors(errors(rng)), squared_errors(share * errors(rng)))
              for quantity, share in zip(PIECES, (0.5, 0.8, 0.9, 0.95, 1.0, 1.1, 1.3), strict=True)}  # fmt: skip
     for row in evidence(pairs).values():
         beyond = not 1.0 / 1.05 < row.ratio < 1.05
-        assert (row.word in {"better", "worse"}) == (beyond and row.p < 0.01)
+        assert (row.verdict in {"better", "worse"}) == (beyond and row.p < 0.01)
 
 
 def outage(rng: np.random.Generator, share: float) -> tuple[SquaredErrors, SquaredErrors]:
@@ -134,22 +136,22 @@ def outage(rng: np.random.Generator, share: float) -> tuple[SquaredErrors, Squar
 def test_one_stretch_decides_nothing_and_is_named() -> None:
     rng = np.random.default_rng(5)
     row = evidence({"drift_30s": outage(rng, 0.5)})["drift_30s"]
-    assert row.word == "undecided"
+    assert row.verdict == "undecided"
     assert re.findall(r"\d+", row.why) == ["380", "430"]
     assert row.effective_samples < 2.5
 
 
 def test_longer_segments_of_one_stretch_are_one_sample_too() -> None:
     rng = np.random.default_rng(6)
-    smeared = losses(errors(rng)), losses(0.5 * errors(rng))
+    smeared = squared_errors(errors(rng)), squared_errors(0.5 * errors(rng))
     rows = evidence({"drift_30s": outage(rng, 0.5), "drift_100m": smeared, "level": smeared})
-    assert [row.word for row in rows.values()] == ["undecided", "undecided", "better"]
+    assert [row.verdict for row in rows.values()] == ["undecided", "undecided", "better"]
     assert re.findall(r"\d+", rows["drift_100m"].why) == ["0", "0"]
 
 
 def test_a_copy_is_equivalent_however_noisy_the_reference_is() -> None:
-    same = losses(errors(np.random.default_rng(7)), floor=0.9)
-    assert evidence({"drift_30s": (same, same)})["drift_30s"].word == "equivalent"
+    same = squared_errors(errors(np.random.default_rng(7)), floor=0.9)
+    assert evidence({"drift_30s": (same, same)})["drift_30s"].verdict == "equivalent"
 
 
 def test_outage_is_compared_window_by_window() -> None:
@@ -164,10 +166,10 @@ def test_outage_is_compared_window_by_window() -> None:
     )
     assert list(rows) == ["outage_30s", "outage_60s"]
     far, few = rows.values()
-    assert (far.evidence, far.unit, far.starts, far.windows, far.word) == ("outage", "m", 1, 6, "worse")
+    assert (far.evidence, far.unit, far.starts, far.windows, far.verdict) == ("outage", "m", 1, 6, "worse")
     assert far.ratio == pytest.approx(10.0, rel=0.02)
     assert far.baseline == pytest.approx(np.sqrt(np.mean(np.square(drifts))))
-    assert few.word == "undecided"
+    assert few.verdict == "undecided"
 
 
 def converged(ratio: float) -> MeasuredConvergence:
@@ -179,7 +181,7 @@ def converged(ratio: float) -> MeasuredConvergence:
 @pytest.mark.parametrize(("ratio", "word"), [(0.5, "better"), (0.85, "undecided"), (1.2, "undecided"), (1.6, "worse")])
 def test_convergence_has_to_differ_by_more_than_the_sensors_of_one_dive(ratio: float, word: str) -> None:
     row = evidence(convergence={"level": converged(ratio)})["convergence_level"]
-    assert (row.evidence, row.unit, row.word, row.starts) == ("convergence", "s", word, 15)
+    assert (row.evidence, row.unit, row.verdict, row.starts) == ("convergence", "s", word, 15)
 
 
 @pytest.mark.parametrize(("high", "word"), [(1.04, "equivalent"), (3.66, "undecided")])
@@ -187,7 +189,7 @@ def test_times_that_a_few_starts_may_make_others_are_not_equivalent(high: float,
     found = converged(1.0)
     interval = found.interval._replace(low=0.99, high=high, low90=0.99, high90=1.02)
     found = found._replace(interval=interval)
-    assert evidence(convergence={"level": found})["convergence_level"].word == word
+    assert evidence(convergence={"level": found})["convergence_level"].verdict == word
 
 
 def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
@@ -205,9 +207,9 @@ def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
         ((0.1, "conservative"), (2.0, "overconfident"), "worse"),
     ],
 )
-def test_honest_is_who_is_nearer_and_not_over_confident_instead(before: Any, after: Any, word: str) -> None:
+def test_consistent_is_who_is_nearer_and_not_over_confident_instead(before: Any, after: Any, word: str) -> None:
     row = evidence(nis=(nis("baseline", *before), nis("aided", *after)))["nis"]
-    assert (row.evidence, row.word) == ("consistency", word)
+    assert (row.evidence, row.verdict) == ("consistency", word)
     assert (row.baseline, row.value) == pytest.approx((before[0], after[0]))
 
 

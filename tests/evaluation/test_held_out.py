@@ -53,7 +53,7 @@ def words(sensor: str, ratio: float, noise_sd: float, worlds: int = 60) -> Count
         rng, size = np.random.default_rng(seed), max(1, len(AXES[sensor]))
         alike, own, other = (walk(rng, 0.1 * np.sqrt(0.5), size) for _ in range(3))
         noise = noise_sd * rng.standard_normal((FIXES_S, size))
-        found[word(sensor, alike + own + noise, ratio * (alike + other) + noise, noise_sd).word] += 1
+        found[word(sensor, alike + own + noise, ratio * (alike + other) + noise, noise_sd).verdict] += 1
     return found
 
 
@@ -89,7 +89,7 @@ def test_a_heading_is_taken_as_it_is_in_degrees() -> None:
     off = np.full((100, 1), np.deg2rad(3.0))
     row = word("heading", off, 2.0 * off, np.deg2rad(0.1))
     assert (row.baseline, row.value, row.unit) == (pytest.approx(3.0), pytest.approx(6.0), "deg")
-    assert row.word == "undecided"  # a difference that stays is one sample
+    assert row.verdict == "undecided"  # a difference that stays is one sample
 
 
 def test_a_depth_has_no_vote_and_what_was_used_is_no_evidence() -> None:

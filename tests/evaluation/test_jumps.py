@@ -18,11 +18,13 @@ VELOCITY_N = np.stack([np.cos(TURN_RADPS * TIME_S), np.sin(TURN_RADPS * TIME_S),
 WAY_N = np.stack([np.sin(TURN_RADPS * TIME_S), 1.0 - np.cos(TURN_RADPS * TIME_S), 0.0 * TIME_S], axis=1) / TURN_RADPS
 
 
-def found(way_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIME_S) -> JumpRow:
+def found(moved_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIME_S) -> JumpRow:
     """Look at a vehicle that turns all the time, beside a history that spans it."""
     time_ns = np.round(time_s * 1e9).astype(np.int64)
-    origin = np.broadcast_to([0.57, 0.61, -5.0], way_n.shape)
-    motion = ReferenceColumns(time_ns, moved_position(origin, way_n), velocity_n, np.full((len(way_n), 3, 3), np.nan))
+    origin = np.broadcast_to([0.57, 0.61, -5.0], moved_n.shape)
+    motion = ReferenceColumns(
+        time_ns, moved_position(origin, moved_n), velocity_n, np.full((len(moved_n), 3, 3), np.nan)
+    )
     beside = replace(history("onboard", np.full(2, 3.0)), time_ns=time_ns[[0, -1]], is_partial=True)
     (row,) = jump_table("dive", [beside], {"onboard": motion})
     return row
@@ -30,10 +32,10 @@ def found(way_n: Floats, velocity_n: Floats = VELOCITY_N, time_s: Floats = TIME_
 
 def jumping(*jumps: tuple[int, float]) -> Floats:
     """Move the vehicle north from some rows on."""
-    way_n = WAY_N.copy()
+    moved_n = WAY_N.copy()
     for row, size_m in jumps:
-        way_n[row:, 0] += size_m
-    return way_n
+        moved_n[row:, 0] += size_m
+    return moved_n
 
 
 def test_a_turn_is_no_jump() -> None:
@@ -44,7 +46,7 @@ def test_a_turn_is_no_jump() -> None:
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_jumps_are_counted_whether_or_not_a_velocity_is_told(told: bool) -> None:
+def test_jumps_are_counted_whether_or_not_a_velocity_is_reported(told: bool) -> None:
     velocity_n = VELOCITY_N if told else np.full_like(VELOCITY_N, np.nan)
     row = found(jumping((100, 0.7), (300, -3.0), (301, 1.0)), velocity_n)
     assert (row.jumps, row.largest_m) == (3, pytest.approx(3.0, abs=0.02))
@@ -59,10 +61,10 @@ def test_each_step_is_compared_with_three_before_and_three_after() -> None:
 def test_the_edge_of_a_gap_is_no_jump() -> None:
     """A fix a second and its noise: the last step before the gap has its like before it alone."""
     time_s = np.r_[np.arange(100.0), np.arange(140.0, 240.0)]
-    way_n = np.column_stack([time_s, 0.0 * time_s, 0.0 * time_s])
-    way_n[time_s < 100.0, 1] = 0.2 * time_s[time_s < 100.0]
-    way_n += np.random.default_rng(0).normal(0.0, 0.005, way_n.shape)
-    row = found(way_n, np.full_like(way_n, np.nan), time_s)
+    moved_n = np.column_stack([time_s, 0.0 * time_s, 0.0 * time_s])
+    moved_n[time_s < 100.0, 1] = 0.2 * time_s[time_s < 100.0]
+    moved_n += np.random.default_rng(0).normal(0.0, 0.005, moved_n.shape)
+    row = found(moved_n, np.full_like(moved_n, np.nan), time_s)
     assert row.jumps == 0
 
 
@@ -74,7 +76,7 @@ def test_what_is_smaller_or_usual_is_no_jump() -> None:
     assert found(jumping((100, 12.0)) + noise_m).jumps == 1
 
 
-def test_positions_that_stand_until_there_is_a_new_one_do_not_jump() -> None:
+def test_positions_that_are_until_there_is_a_new_one_do_not_jump() -> None:
     """Told at 5 Hz, new once in two seconds: each new one is two metres on."""
     standing = WAY_N[(np.arange(len(TIME_S)) // 10) * 10]
     assert found(standing).jumps == 0

@@ -68,7 +68,9 @@ def errors_of(replay: Replay) -> Any:
 
 
 @pytest.mark.parametrize("quantity", OF_QUANTITY)
-def test_quantity_that_turns_nan_is_told_and_judged_where_it_is(tmp_path: Path, dive: Dive, quantity: str) -> None:
+def test_quantity_that_turns_nan_is_reported_and_evaluated_where_it_is(
+    tmp_path: Path, dive: Dive, quantity: str
+) -> None:
     path = tmp_path / "dive.mcap"
     write_dive(path, without_end(dive, quantity))
     replay = replay_log(path, Config())
@@ -131,7 +133,7 @@ def test_reference_that_turns_nan_as_a_whole(tmp_path: Path, dive: Dive) -> None
     ]
 
 
-def test_number_in_the_last_row_does_not_cover_what_lies_before(dive: Dive) -> None:
+def test_number_in_the_last_row_does_not_cover_what_is_before(dive: Dive) -> None:
     reference = reference_of(dive)
     velocity_n = ended(reference.velocity_n, reference.time_ns)
     velocity_n[-1] = reference.velocity_n[-1]
@@ -173,7 +175,7 @@ def test_window_study_leaves_out_what_the_reference_lacks(dive: Dive) -> None:
 # --- The truth.
 
 
-def test_truth_that_turns_nan_is_told(tmp_path: Path, dive: Dive) -> None:
+def test_truth_that_turns_nan_is_reported(tmp_path: Path, dive: Dive) -> None:
     assert dive.truth is not None
     cut = replace(dive.truth, gyro_bias_b=ended(dive.truth.gyro_bias_b, dive.truth.time_ns))
     path = tmp_path / "dive.mcap"
@@ -193,7 +195,7 @@ def test_truth_that_turns_nan_is_told(tmp_path: Path, dive: Dive) -> None:
 # --- The share.
 
 
-def test_share_is_what_lies_between_neighbours() -> None:
+def test_share_is_what_is_between_neighbours() -> None:
     time_ns = SECOND * np.arange(101, dtype=np.int64)
     known = np.ones(101, dtype=bool)
     assert covered_share(time_ns, known, 0, 100 * SECOND) == 1.0

@@ -31,7 +31,7 @@ def said(drifts_mps: Any, pings_s: Any, status: str = "compared") -> str:
     return far_off(of_one, of_one, errors, tables)
 
 
-def test_error_that_is_gained_beside_the_dvl_is_far_off() -> None:
+def test_error_that_is_gained_next_to_the_dvl_is_far_off() -> None:
     # The root mean square of 1, 2, ..., 400 m is 231 m.
     assert re.match(r"aided .*23\.1 %", said(1.0, every_second))
     assert said(0.8, every_second) == ""
@@ -39,7 +39,7 @@ def test_error_that_is_gained_beside_the_dvl_is_far_off() -> None:
 
 
 @pytest.mark.parametrize(("begun_s", "ended_s"), [(100, 220), (0, 120), (280, 400)])
-def test_error_that_is_gained_in_an_outage_is_nobodys_mistake(begun_s: int, ended_s: int) -> None:
+def test_error_that_is_gained_in_an_outage_is_nobodys_error(begun_s: int, ended_s: int) -> None:
     pings_s = every_second[(every_second <= begun_s) | (every_second >= ended_s)][begun_s == 0 :]
     drifts = np.where((seconds > begun_s) & (seconds <= ended_s), 10.0, 0.1)
     assert said(drifts, pings_s) == ""

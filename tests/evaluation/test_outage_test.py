@@ -167,8 +167,8 @@ def coasts_that_drift(**accel_mps2: Floats | float) -> OutageRuns:
 
     def run(row: int, accel: float) -> OutageRun:
         time_s = np.arange(last[row] - first[row] + 1.0)
-        way_n = np.outer(time_s, [1.0, 0.0, 0.5])
-        return OutageRun(time_s, accel * way_n, 0.5 * accel * time_s[:, None] * way_n, np.full(len(time_s), 6.0))
+        moved_n = np.outer(time_s, [1.0, 0.0, 0.5])
+        return OutageRun(time_s, accel * moved_n, 0.5 * accel * time_s[:, None] * moved_n, np.full(len(time_s), 6.0))
 
     of_filters = {name: np.broadcast_to(accel, len(first)) for name, accel in accel_mps2.items()}
     runs = {name: tuple(run(row, a) for row, a in enumerate(accel)) for name, accel in of_filters.items()}
@@ -279,7 +279,7 @@ def test_drift_over_time_is_the_middle_and_the_edge_of_all_windows() -> None:
     np.testing.assert_allclose(shown.p95_m, 0.5 * np.quantile(accel, 0.95) * shown.time_s**2, atol=1e-12)
 
 
-def test_curves_say_where_in_the_dive_each_window_lies() -> None:
+def test_curves_say_where_in_the_dive_each_window_is() -> None:
     coasts = coasts_that_drift(baseline=0.001, aided=0.0005)
     found = outage_curves(coasts)
     assert starts_s(coasts.plan, coasts.plan.shown.first) == [

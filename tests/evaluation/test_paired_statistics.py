@@ -10,7 +10,7 @@ from scipy.stats import t as student_t
 from scipy.stats import ttest_1samp
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.core.words import EvidenceWord
+from insdvl_replay.core.words import EvidenceVerdict
 from insdvl_replay.evaluation.series import (
     NOTHING,
     RatioInterval,
@@ -18,9 +18,9 @@ from insdvl_replay.evaluation.series import (
     dives_ratio,
     paired_ratio,
     samples_in_mean,
+    verdict_of_interval,
     what_settles,
     windows_ratio,
-    word_of,
 )
 
 
@@ -155,7 +155,7 @@ def test_pairing_makes_the_interval_short_where_both_filters_err_alike() -> None
 
 
 def test_exchanged_filters_have_the_inverse_interval() -> None:
-    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(9), 0.7, 1, 150))
+    baseline, candidate = (squared_errors[0] for squared_errors in alike_pairs(np.random.default_rng(9), 0.7, 1, 150))
     there, back = paired_ratio(baseline, candidate), paired_ratio(candidate, baseline)
     expected = [1.0 / there.ratio, 1.0 / there.high, 1.0 / there.low, 1.0 / there.high90, 1.0 / there.low90]
     np.testing.assert_allclose(back[:5], expected, rtol=1e-9)
@@ -163,12 +163,12 @@ def test_exchanged_filters_have_the_inverse_interval() -> None:
 
 
 def test_same_losses_are_equal_beyond_doubt() -> None:
-    losses = np.random.default_rng(10).random(50)
-    assert paired_ratio(losses, losses) == RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, 50.0)
+    squared_errors = np.random.default_rng(10).random(50)
+    assert paired_ratio(squared_errors, squared_errors) == RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, 50.0)
 
 
 def test_times_that_are_not_numbers_are_left_out_and_too_few_give_nothing() -> None:
-    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(11), 0.0, 1, 60))
+    baseline, candidate = (squared_errors[0] for squared_errors in alike_pairs(np.random.default_rng(11), 0.0, 1, 60))
     holes = baseline.copy()
     holes[[3, 40]] = np.nan, np.inf
     assert paired_ratio(holes, candidate) == paired_ratio(np.delete(baseline, [3, 40]), np.delete(candidate, [3, 40]))
@@ -191,7 +191,7 @@ def test_long_series_are_averaged_and_as_sure_as_they_scatter() -> None:
 def test_filter_that_breaks_down_is_worse_by_numbers_of_any_size(growth: float) -> None:
     found = paired_ratio(np.ones(12), np.exp(growth * np.arange(12)))
     assert found.ratio > 1e20
-    assert word_of(found) == EvidenceWord.WORSE
+    assert verdict_of_interval(found) == EvidenceVerdict.WORSE
 
 
 # --- Drawn starts.
@@ -234,7 +234,7 @@ def test_six_windows_tell_a_filter_that_drifts_tenfold() -> None:
     """One in which the baseline hardly drifts, and one in which the candidate does not, do not hide it."""
     baseline = np.array([0.4, 0.3, 0.002, 0.5, 0.2, 0.4])
     candidate = np.array([5.0, 4.0, 6.0, 0.3, 5.0, 7.0])
-    assert word_of(windows_ratio(baseline, candidate)) == EvidenceWord.WORSE
+    assert verdict_of_interval(windows_ratio(baseline, candidate)) == EvidenceVerdict.WORSE
 
 
 def test_windows_ratio_is_that_of_root_mean_squares() -> None:
@@ -255,31 +255,31 @@ class Case:
     ratio: float
     half: float
     effective: float
-    word: EvidenceWord
+    verdict: EvidenceVerdict
 
 
 @pytest.mark.parametrize(
     "case",
     [
-        Case(0.80, 0.10, 20.0, EvidenceWord.BETTER),
-        Case(0.80, 0.10, 5.9, EvidenceWord.UNDECIDED),
-        Case(0.80, 0.30, 20.0, EvidenceWord.UNDECIDED),
-        Case(0.80, 0.18, 20.0, EvidenceWord.UNDECIDED),
-        Case(0.13, 1.5, 20.0, EvidenceWord.BETTER),
-        Case(0.90, 0.001, 20.0, EvidenceWord.BETTER),
-        Case(0.97, 0.001, 20.0, EvidenceWord.EQUIVALENT),
-        Case(0.96, 0.03, 20.0, EvidenceWord.UNDECIDED),
-        Case(1.03, 0.01, 20.0, EvidenceWord.EQUIVALENT),
-        Case(1.20, 0.10, 20.0, EvidenceWord.WORSE),
-        Case(1.20, 0.30, 20.0, EvidenceWord.UNDECIDED),
-        Case(float("nan"), 0.1, 20.0, EvidenceWord.UNDECIDED),
-        Case(0.80, 0.10, float("nan"), EvidenceWord.UNDECIDED),
+        Case(0.80, 0.10, 20.0, EvidenceVerdict.BETTER),
+        Case(0.80, 0.10, 5.9, EvidenceVerdict.UNDECIDED),
+        Case(0.80, 0.30, 20.0, EvidenceVerdict.UNDECIDED),
+        Case(0.80, 0.18, 20.0, EvidenceVerdict.UNDECIDED),
+        Case(0.13, 1.5, 20.0, EvidenceVerdict.BETTER),
+        Case(0.90, 0.001, 20.0, EvidenceVerdict.BETTER),
+        Case(0.97, 0.001, 20.0, EvidenceVerdict.EQUIVALENT),
+        Case(0.96, 0.03, 20.0, EvidenceVerdict.UNDECIDED),
+        Case(1.03, 0.01, 20.0, EvidenceVerdict.EQUIVALENT),
+        Case(1.20, 0.10, 20.0, EvidenceVerdict.WORSE),
+        Case(1.20, 0.30, 20.0, EvidenceVerdict.UNDECIDED),
+        Case(float("nan"), 0.1, 20.0, EvidenceVerdict.UNDECIDED),
+        Case(0.80, 0.10, float("nan"), EvidenceVerdict.UNDECIDED),
     ],
 )
 def test_word(case: Case) -> None:
     ratio, half = case.ratio, case.half
     ends = ratio * np.exp([-half, half, -0.8 * half, 0.8 * half])
-    assert word_of(RatioInterval(ratio, *ends.tolist(), case.effective)) == case.word
+    assert verdict_of_interval(RatioInterval(ratio, *ends.tolist(), case.effective)) == case.verdict
 
 
 @pytest.mark.parametrize("freedom", [1.0, 5.0, 30.0, np.inf])
@@ -297,7 +297,7 @@ def test_p_is_students_of_the_interval(freedom: float) -> None:
 
 def with_one_stretch(larger: float, share: float = 0.125) -> tuple[Floats, Floats]:
     """Squared errors of equal filters, in a share of the dive so many times larger."""
-    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(19), 0.3, 1, 800))
+    baseline, candidate = (squared_errors[0] for squared_errors in alike_pairs(np.random.default_rng(19), 0.3, 1, 800))
     sizes = np.ones(800)
     sizes[400 : 400 + round(800 * share)] = larger
     return sizes * baseline, sizes * candidate
@@ -308,7 +308,7 @@ def test_errors_of_one_stretch_count_as_one_sample() -> None:
     found = paired_ratio(*with_one_stretch(1000.0))
     assert found.effective_samples == pytest.approx(1007.0**2 / (7.0 + 1000.0**2), rel=0.01)
     assert found.stretch == 4
-    assert word_of(found._replace(ratio=0.5)) == EvidenceWord.UNDECIDED
+    assert verdict_of_interval(found._replace(ratio=0.5)) == EvidenceVerdict.UNDECIDED
     even = paired_ratio(*with_one_stretch(1.0))
     assert even.stretch is None
     assert even.effective_samples > 50.0
@@ -335,10 +335,10 @@ def test_interval_and_p_over_dives_are_those_of_scipy(dives: int) -> None:
 
 def test_three_dives_that_agree_are_the_fewest_that_decide() -> None:
     log_ratios = np.log([0.70, 0.71, 0.72])
-    assert word_of(dives_ratio(log_ratios), 3) == EvidenceWord.BETTER
-    assert word_of(dives_ratio(-log_ratios), 3) == EvidenceWord.WORSE
-    assert word_of(dives_ratio(log_ratios[:2]), 3) == EvidenceWord.UNDECIDED
-    assert word_of(dives_ratio(np.log([0.5, 0.7, 0.9])), 3) == EvidenceWord.UNDECIDED
+    assert verdict_of_interval(dives_ratio(log_ratios), 3) == EvidenceVerdict.BETTER
+    assert verdict_of_interval(dives_ratio(-log_ratios), 3) == EvidenceVerdict.WORSE
+    assert verdict_of_interval(dives_ratio(log_ratios[:2]), 3) == EvidenceVerdict.UNDECIDED
+    assert verdict_of_interval(dives_ratio(np.log([0.5, 0.7, 0.9])), 3) == EvidenceVerdict.UNDECIDED
 
 
 def test_dives_without_a_number_are_left_out_and_equal_dives_are_equivalent() -> None:
@@ -346,10 +346,10 @@ def test_dives_without_a_number_are_left_out_and_equal_dives_are_equivalent() ->
     assert dives_ratio(log_ratios) == dives_ratio(log_ratios[[0, 2]])
     equal = dives_ratio(np.zeros(8))
     assert (equal.ratio, equal.low, equal.high, equal.p) == (1.0, 1.0, 1.0, 1.0)
-    assert word_of(equal, 3) == EvidenceWord.EQUIVALENT
+    assert verdict_of_interval(equal, 3) == EvidenceVerdict.EQUIVALENT
     one, none = dives_ratio(np.array([-0.3])), dives_ratio(np.array([np.nan]))
     assert (one.ratio, one.effective_samples, none.effective_samples) == (np.exp(-0.3), 1.0, 0.0)
-    assert word_of(one, 3) == word_of(none, 3) == EvidenceWord.UNDECIDED
+    assert verdict_of_interval(one, 3) == verdict_of_interval(none, 3) == EvidenceVerdict.UNDECIDED
 
 
 def test_what_settles_is_the_number_of_dives_that_find_ten_percent() -> None:
@@ -359,17 +359,17 @@ def test_what_settles_is_the_number_of_dives_that_find_ten_percent() -> None:
     assert what_settles(dives_ratio(0.1 * logs), 3) == "", "three are enough"
     assert what_settles(NOTHING, 3) == ""
     drawn = np.random.default_rng(3).normal(-np.log(1.1), 0.04, (1000, 11))
-    found = sum(word_of(dives_ratio(one), 3) == EvidenceWord.BETTER for one in drawn)
+    found = sum(verdict_of_interval(dives_ratio(one), 3) == EvidenceVerdict.BETTER for one in drawn)
     assert 770 <= found <= 850, "four of five"
 
 
 def test_filters_that_differ_by_the_margin_are_better_in_a_hundredth_of_cases() -> None:
     drawn = np.random.default_rng(4).normal(-np.log(1.05), 0.02, (2000, 8))
-    assert sum(word_of(dives_ratio(one), 3) == EvidenceWord.BETTER for one in drawn) <= 33
+    assert sum(verdict_of_interval(dives_ratio(one), 3) == EvidenceVerdict.BETTER for one in drawn) <= 33
 
 
 def test_same_seed_draws_the_same() -> None:
-    baseline, candidate = (losses[0] for losses in alike_pairs(np.random.default_rng(15), 0.5, 1, 100))
+    baseline, candidate = (squared_errors[0] for squared_errors in alike_pairs(np.random.default_rng(15), 0.5, 1, 100))
     assert paired_ratio(baseline, candidate) == paired_ratio(baseline, candidate)
     assert windows_ratio(baseline, candidate) == windows_ratio(baseline, candidate)
 

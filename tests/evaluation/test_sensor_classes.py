@@ -61,7 +61,7 @@ def test_gyros_of_the_presets_are_of_their_class() -> None:
         assert sensor_class(GYRO, load_config(preset).noise.gyro_white_rad_rts) == preset
 
 
-def test_classes_stand_best_first_and_bear_the_keys_of_a_filter() -> None:
+def test_classes_are_best_first_and_bear_the_keys_of_a_filter() -> None:
     for key, sensors in CLASSES.items():
         assert key in Filter.__struct_fields__
         assert list(sensors.worst.values()) == sorted(sensors.worst.values())

@@ -96,7 +96,7 @@ def test_filter_is_fitted_at_the_times_that_both_have() -> None:
     assert np.isnan(filter_track_fit(empty, reference).scale_pct)
 
 
-def test_what_cannot_be_told_is_not_told() -> None:
+def test_what_cannot_be_reported_is_not_reported() -> None:
     rest = track_fit(TIME_NS, random_walk(np.random.default_rng(2)), np.zeros((400, 2)))
     assert np.isnan([rest.scale_pct, rest.scale_sd_pct, rest.turn_deg, rest.turn_sd_deg]).all()
     assert np.isnan(track_fit(TIME_NS, np.zeros((400, 2)), straight()).scale_pct)

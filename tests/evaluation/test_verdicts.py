@@ -10,11 +10,11 @@ from made_verdicts import consistency, credibility, judged
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.tables import EvidenceRow, Tables
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, judged_candidates
+from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, evaluated_candidates
 
 
 @pytest.mark.parametrize(
-    ("words", "judgement"),
+    ("words", "verdict"),
     [
         (["better", "equivalent", "undecided"], "better"),
         (["undecided", "undecided", "better"], "better"),
@@ -25,12 +25,12 @@ from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, ju
         ([], "undecided"),
     ],
 )
-def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], judgement: str) -> None:
-    assert judged(words).improvement == judgement
+def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], verdict: str) -> None:
+    assert judged(words).verdict == verdict
 
 
 @pytest.mark.parametrize(
-    ("believed_pct", "ratio", "belief"),
+    ("believed_pct", "ratio", "prediction"),
     [
         (40.0, (0.6, 0.5, 0.7), "confirmed"),
         (40.0, (0.79, 0.79, 0.79), "confirmed"),
@@ -41,17 +41,17 @@ def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], ju
         (-30.0, (0.6, 0.5, 0.7), "undecided"),
     ],
 )
-def test_belief_is_borne_out_by_half_of_it_with_its_interval(
-    believed_pct: float, ratio: tuple[float, float, float], belief: str
+def test_prediction_is_confirmed_by_half_of_it_with_its_interval(
+    predicted_pct: float, ratio: tuple[float, float, float], prediction: str
 ) -> None:
-    assert judged(["better"], believed_pct, ratio).belief == belief
+    assert judged(["better"], predicted_pct, ratio).prediction == prediction
 
 
-@pytest.mark.parametrize(("starts", "belief"), [(1, "undecided"), (7, "undecided"), (8, "not confirmed")])
-def test_few_starts_say_nothing_of_what_is_believed(starts: int, belief: str) -> None:
+@pytest.mark.parametrize(("starts", "prediction"), [(1, "undecided"), (7, "undecided"), (8, "not confirmed")])
+def test_few_starts_say_nothing_of_what_is_predicted(starts: int, prediction: str) -> None:
     """From the exact start a filter cannot show that it wears off errors of the start."""
     found = judged(["equivalent"], 40.0, (1.0, 0.99, 1.01), starts=starts)
-    assert found.belief == belief
+    assert found.prediction == prediction
     assert bool(re.search(r"\b8 .*starts\b", found.verdict)) == (starts < 8)
 
 
@@ -72,12 +72,12 @@ def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, wo
         errors_of_baseline="insufficient data",
         unsound={"aided": f"{unsound} rejected 209 of 300"},
     )
-    assert (verdict.improvement, verdict.belief) == ("not evaluated", "undecided")
-    assert f": {unsound} rejected 209 of 300" in verdict.verdict
+    assert (verdict.verdict, verdict.prediction) == ("not evaluated", "undecided")
+    assert f": {unsound} rejected 209 of 300" in verdict.sentence
 
 
-def test_sentence_holds_the_numbers_that_it_was_judged_by() -> None:
-    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="overconfident", honesty="worse").verdict
+def test_sentence_holds_the_numbers_that_it_was_evaluated_by() -> None:
+    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="overconfident", consistency="worse").verdict
     assert re.match(
         r"aided .*WORSE .*baseline: drift in 30 s 75\.0 % .*2 m, .*3\.5 m; .*\+50\.0 .*\+100\.0 %", sentence
     )
@@ -97,7 +97,7 @@ def test_innovations_and_errors_have_a_word_each(innovations: str, errors: str) 
     assert (verdict.consistency, verdict.credibility) == (innovations, errors)
 
 
-def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
+def test_gravest_verdict_of_the_measurements_is_for_the_filter() -> None:
     rows = [
         ("a", "velocity", "consistent"),
         ("a", "acceleration", "conservative"),
@@ -115,7 +115,7 @@ def test_gravest_verdict_of_the_measurements_stands_for_the_filter() -> None:
     ]
 
 
-def test_gravest_group_of_errors_stands_for_the_filter() -> None:
+def test_gravest_group_of_errors_is_for_the_filter() -> None:
     rows = [
         ("a", "heading", "overconfident"),
         ("a", "velocity", "conservative"),
@@ -142,6 +142,6 @@ def test_evidence_on_a_candidate_that_is_not_evaluated_has_no_words() -> None:
     histories = tuple(history(name, np.full(9, 3.0)) for name in ("baseline", "aided"))
     contradiction = Note("dvl_contradiction", "columns contradict each other", severity=Severity.WARNING)
     for notes, word in ((), "better"), ((contradiction,), ""):
-        tables, found = judged_candidates(histories, {}, Tables([], [], [], [], [], [row]), notes, independent=True)
-        assert [(left.word, left.ratio) for left in tables.evidence] == [(word, 0.5)]
-        assert found["aided"].improvement == (word or "not evaluated")
+        tables, found = evaluated_candidates(histories, {}, Tables([], [], [], [], [], [row]), notes, independent=True)
+        assert [(left.verdict, left.ratio) for left in tables.evidence] == [(word, 0.5)]
+        assert found["aided"].verdict == (word or "not evaluated")

@@ -49,8 +49,8 @@ def roles(inventory: Inventory) -> dict[str, str | None]:
     return {role.role: role.topic for role in inventory.roles}
 
 
-def obstacles(inventory: Inventory) -> str:
-    return "\n".join(f"{obstacle.message} | {obstacle.hint}" for obstacle in inventory.obstacles)
+def blockers(inventory: Inventory) -> str:
+    return "\n".join(f"{blocker.message} | {blocker.hint}" for blocker in inventory.blockers)
 
 
 def warnings(inventory: Inventory) -> str:
@@ -105,10 +105,10 @@ def test_roles_and_rates_of_real_logs(name: str, expected: dict[str, str | None]
 
 
 @pytest.mark.parametrize("number", ["01", "02", "05", "07", "08", "09", "11", "12"])
-def test_good_dives_are_told_to_be_good(number: str) -> None:
+def test_good_dives_are_reported_to_be_good(number: str) -> None:
     for deep in (False, True):
         inventory = inspected(f"snapir/snapir_{number}.mcap", deep=deep)
-        assert obstacles(inventory) == ""
+        assert blockers(inventory) == ""
         # The positions of two do not go as far as their velocity says.
         assert ("reference_scale" in {note.code for note in inventory.notes}) == (number in ("11", "12"))
         assert warnings(inventory).count(" | ") == (number in ("11", "12"))
@@ -127,7 +127,7 @@ def test_reference_coverage_and_velocities_without_beams() -> None:
 def test_three_imus_are_named_with_the_key_to_set() -> None:
     inventory = inspected("blueye_x3/auto_square.mcap")
     for name in ("Imu1Tel", "Imu2Tel", "CalibratedImuTel"):
-        assert f'imu.topic = "{BLUEYE}{name}"' in obstacles(inventory)
+        assert f'imu.topic = "{BLUEYE}{name}"' in blockers(inventory)
         assert f'"{BLUEYE}{name}"' in inventory.configuration
     assert inventory.conventions[f"{BLUEYE}Imu1Tel"]["specific_force_axes"] == "-x-y-z"
     assert re.search(rf"{BLUEYE}CalibratedImuTel: .* 5\.3", warnings(inventory))
@@ -151,12 +151,12 @@ def test_repeats_of_a_dvl_that_is_published_faster_than_it_pings(name: str) -> N
 
 
 def test_wrong_unit_of_an_accelerometer_stops_a_replay_and_the_hint_settles_it() -> None:
-    found = obstacles(inspected("blueye_x3/grid_gyro_scale_wrong.mcap", IMU2))
+    found = blockers(inspected("blueye_x3/grid_gyro_scale_wrong.mcap", IMU2))
     assert re.search(r"specific force .* 95\.", found)
     assert 'imu.specific_force_unit = "m/s2"' in found
     settled = [IMU2, "imu.specific_force_unit=m/s2", "initial.heading_deg=36"]
     inventory = inspected("blueye_x3/grid_gyro_scale_wrong.mcap", *settled, deep=True)
-    assert obstacles(inventory) == ""
+    assert blockers(inventory) == ""
     # The true factor is 1.6645: the gyros show 0.6 of the turning.
     assert re.search(r"angular rate .* 0\.(59|60|61)", warnings(inventory))
     assert "imu.angular_rate_scale = 0." in warnings(inventory)
@@ -184,7 +184,7 @@ def test_clocks_of_topics_without_a_role_tell_how_much_was_read(deep: bool) -> N
 
 def test_imu_that_is_too_slow_and_clocks_that_are_days_apart() -> None:
     inventory = inspected("cougars/so_lastbag.mcap")
-    found = obstacles(inventory)
+    found = blockers(inventory)
     assert re.search(r"\b10\.0 .*INS", found)
     assert re.search(r"/coug2/odom .*/coug2/gps_odom .*reference\.topic", found)
     assert 'imu.stamp = "log_time"' in found
@@ -197,7 +197,7 @@ def test_sensors_are_stamped_as_the_other_roles_are() -> None:
     stamped = ["imu.stamp=log_time", "dvl.stamp=log_time", "reference.stamp=log_time", "initial.latitude_deg=37.4"]
     settings = ['filters.told.aiding=["velocity","heading"]']
     found = inspected("stanford_auv/x_1.mcap", *stamped, *settings)
-    assert re.search(r": imu .*heading .*/imu .*clocks", obstacles(found))
+    assert re.search(r": imu .*heading .*/imu .*clocks", blockers(found))
     proposed = msgspec.toml.decode(found.configuration)
     assert {section: of["stamp"] for section, of in proposed.items() if "stamp" in of} == {"heading": "log_time"}
     assert not found.remaining
@@ -209,10 +209,10 @@ def test_three_clocks_in_one_file() -> None:
     assert clocks["/imu"].log_minus_stamp_s > 1.7e9, "stamped by the time since power-up"
     assert clocks["/dvl"].log_minus_stamp_s == pytest.approx(0.0, abs=0.1)
     assert any(re.search(r"/depth: .*'header' .*0\.000000000 s", note.text) for note in inventory.notes)
-    assert re.search(r"/imu .*/dvl .*clocks", obstacles(inventory))
+    assert re.search(r"/imu .*/dvl .*clocks", blockers(inventory))
 
 
-def test_vehicle_that_lies_still_contradicts_nobody() -> None:
+def test_vehicle_that_is_still_contradicts_nobody() -> None:
     still, turning = (inspected(f"stanford_auv/{name}.mcap").notes for name in ("static", "rotation_z_1"))
     assert not [note for note in still if note.code.endswith("_contradiction")]
     assert [note for note in turning if note.code.endswith("_contradiction")]
@@ -222,7 +222,7 @@ def test_log_without_messages() -> None:
     inventory = inspected("blueye_x3/no_messages.mcap", deep=True)
     assert inventory.log.messages == 0
     assert len(inventory.topics) == 5
-    assert all(f"has no {role}" in obstacles(inventory) for role in ("IMU", "DVL"))
+    assert all(f"has no {role}" in blockers(inventory) for role in ("IMU", "DVL"))
     assert inventory.log.start_utc is None
 
 
@@ -239,7 +239,7 @@ def test_proposal_is_a_file_that_replays_a_real_log_once_the_start_is_known(name
     start = {"initial.heading_deg": "10.0", "initial.latitude_deg": "37.0"}
     file = tmp_path / "vehicle.toml"
     file.write_text(decided(inventory, {key: start[key] for key in start.keys() & set(inventory.decisions)}))
-    assert obstacles(inspect_log(DATA / f"{name}.mcap", load_config(file=file), deep=True)) == ""
+    assert blockers(inspect_log(DATA / f"{name}.mcap", load_config(file=file), deep=True)) == ""
 
 
 @pytest.mark.parametrize("name", ["stanford_auv/static.mcap", "cougars/so_lastbag.mcap", "ufmil/run_2.mcap"])
@@ -250,13 +250,13 @@ def test_the_hints_lead_step_by_step_to_a_replay(name: str, tmp_path: Path) -> N
     for _ in range(6):
         config = load_config(file=file if file.is_file() else None, overrides=[*overrides.values()])
         inventory = inspect_log(DATA / name, config) if (DATA / name).is_file() else inspected(name)
-        if not inventory.obstacles:
+        if not inventory.blockers:
             break
         if inventory.configuration:
             file.write_text((file.read_text() if file.is_file() else "") + merged(file, inventory.configuration))
-        for obstacle in inventory.obstacles:
-            overrides |= settings_in(obstacle.hint)
-    assert not inventory.obstacles, obstacles(inventory)
+        for blocker in inventory.blockers:
+            overrides |= settings_in(blocker.hint)
+    assert not inventory.blockers, blockers(inventory)
 
 
 def merged(file: Path, proposal: str) -> str:
@@ -340,7 +340,7 @@ def test_unknown_topics_are_replayed_from_what_inspect_proposes(unknown: Path, d
     np.testing.assert_allclose(read.imu.angular_rate_b, dive.imu.angular_rate_b, rtol=0, atol=1e-12)
     assert read.dvl.velocity_d is not None
     np.testing.assert_allclose(read.dvl.velocity_d, velocities(dive), rtol=0, atol=1e-12)
-    assert not inspect_log(unknown, config, deep=True).obstacles
+    assert not inspect_log(unknown, config, deep=True).blockers
 
 
 def test_vectors_are_found_by_structure() -> None:
@@ -373,31 +373,31 @@ def test_deep_notes_are_those_of_a_run(log: Path) -> None:
     )
 
 
-def test_damage_is_an_obstacle_and_no_reason_to_stop(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damage_is_an_blocker_and_no_reason_to_stop(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = bytearray(log.read_bytes())
     log.write_bytes(data[: len(data) * 2 // 3])
     with pytest.raises(LogError) as refused:
         read_dive(log, load_config())
     assert run_command_line(["inspect", str(log), "--format", "json"]) == 0
     inventory = json.loads(capsys.readouterr().out)
-    assert inventory["obstacles"][0] == {"message": refused.value.message, "hint": refused.value.hint}
+    assert inventory["blockers"][0] == {"message": refused.value.message, "hint": refused.value.hint}
     assert "log_damaged" in [note["code"] for note in inventory["notes"]]
     assert inventory["log"]["has_summary"] is False
     assert inventory["log"]["messages"] > 0
 
 
-def test_first_pings_without_a_bottom_are_a_warning_and_no_obstacle(dive: Dive, tmp_path: Path) -> None:
+def test_first_pings_without_a_bottom_are_a_warning_and_no_blocker(dive: Dive, tmp_path: Path) -> None:
     log = tmp_path / "dive.mcap"
     beams = dive.dvl.beam_velocity_mps
     assert beams is not None
     write_dive(log, replace(dive, dvl=replace(dive.dvl, beam_velocity_mps=np.full_like(beams, np.nan))))
     sample = inspect_log(log, load_config())
     assert "/dvl: " in warnings(sample)
-    assert obstacles(sample) == ""
-    assert "/dvl: " in obstacles(inspect_log(log, load_config(), deep=True))
+    assert blockers(sample) == ""
+    assert "/dvl: " in blockers(inspect_log(log, load_config(), deep=True))
 
 
-def test_reference_that_cannot_be_moved_to_the_imu_is_the_obstacle_that_it_is_to_a_replay(
+def test_reference_that_cannot_be_moved_to_the_imu_is_the_blocker_that_it_is_to_a_replay(
     dive: Dive, tmp_path: Path
 ) -> None:
     log, reference = tmp_path / "dive.mcap", dive.reference
@@ -408,15 +408,15 @@ def test_reference_that_cannot_be_moved_to_the_imu_is_the_obstacle_that_it_is_to
     with pytest.raises(ConfigError) as refused:
         replay_log(log, config)
     assert "reference.lever_arm_m" in refused.value.message
-    assert obstacles(inspect_log(log, config, deep=True)) == f"{refused.value.message} | {refused.value.hint}"
+    assert blockers(inspect_log(log, config, deep=True)) == f"{refused.value.message} | {refused.value.hint}"
 
 
-def test_allowed_damage_is_told_and_is_no_obstacle(log: Path) -> None:
+def test_allowed_damage_is_reported_and_is_no_blocker(log: Path) -> None:
     data = log.read_bytes()
     log.write_bytes(data[: len(data) * 2 // 3])
     for deep in (False, True):
         inventory = inspect_log(log, load_config(), deep=deep, allow_damaged=True)
-        assert obstacles(inventory) == ""
+        assert blockers(inventory) == ""
         assert "log_damaged" in [note.code for note in inventory.notes]
 
 
@@ -525,18 +525,18 @@ def test_two_million_messages_are_surveyed_in_a_second(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_an_imu_of_zeros_is_told_and_no_axes_are_proposed(deep: bool, tmp_path: Path) -> None:
+def test_an_imu_of_zeros_is_reported_and_no_axes_are_proposed(deep: bool, tmp_path: Path) -> None:
     dive = simulate_dive("straight", seed=1, duration_s=20.0)
     none = np.zeros_like(dive.imu.specific_force_b)
     write_dive(tmp_path / "dive.mcap", replace(dive, imu=replace(dive.imu, specific_force_b=none, angular_rate_b=none)))
     inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
-    assert "specific force" in obstacles(inventory)
+    assert "specific force" in blockers(inventory)
     assert "imu.axes" in inventory.decisions
     assert "\naxes =" not in inventory.configuration
 
 
 @pytest.mark.parametrize("deep", [False, True])
-def test_two_topics_of_true_biases_are_an_obstacle(deep: bool, tmp_path: Path) -> None:
+def test_two_topics_of_true_biases_are_an_blocker(deep: bool, tmp_path: Path) -> None:
     dive = simulate_dive("straight", seed=1, duration_s=5.0)
     for name in ("a", "b"):
         write_dive(tmp_path / f"{name}.mcap", dive)
@@ -558,7 +558,7 @@ def test_two_topics_of_true_biases_are_an_obstacle(deep: bool, tmp_path: Path) -
                     writer.add_message(number, message.log_time, message.data, message.publish_time)
         writer.finish()
     inventory = inspect_log(tmp_path / "dive.mcap", load_config(), deep=deep)
-    assert re.search(r"/truth/biases .*/truth/biases/again .*truth \| ", obstacles(inventory))
+    assert re.search(r"/truth/biases .*/truth/biases/again .*truth \| ", blockers(inventory))
 
 
 # --- Sensors that could aid.

@@ -12,7 +12,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.logs import write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-BLOCKS = ("topics", "roles", "clocks", "notes", "obstacles")
+BLOCKS = ("topics", "roles", "clocks", "notes", "blockers")
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def proposed(path: Path, found: list[Message], **initial: Any) -> dict[str, Sett
 
 
 @pytest.mark.parametrize("in_world", [False, True])
-def test_velocity_in_the_world_is_told_by_the_positions(in_world: bool, tmp_path: Path) -> None:
+def test_velocity_in_the_world_is_reported_by_the_positions(in_world: bool, tmp_path: Path) -> None:
     settings = proposed(tmp_path / "dive.mcap", messages(in_world=in_world))
     assert ("reference.velocity_n" in settings) == in_world
     if in_world:
@@ -60,15 +60,15 @@ def test_velocity_in_the_world_is_told_by_the_positions(in_world: bool, tmp_path
 
 
 @pytest.mark.parametrize("in_world", [False, True])
-def test_it_is_told_even_where_a_replay_lacks_nothing(in_world: bool, tmp_path: Path) -> None:
+def test_it_is_reported_even_where_a_replay_lacks_nothing(in_world: bool, tmp_path: Path) -> None:
     path = write_log(tmp_path / "dive.mcap", messages(in_world=in_world))
     config = Config(imu=Imu(axes="flu"), initial=Initial(latitude_deg=30.0))
     proposal = propose_settings(path, config)
     assert [setting.key for setting in proposal.settings] == (["reference.velocity_n"] if in_world else [])
-    assert proposal.obstacles == ()
+    assert proposal.blockers == ()
 
 
-def test_without_positions_nothing_tells_in_which_frame_a_velocity_is(tmp_path: Path) -> None:
+def test_without_positions_nothing_reports_in_which_frame_a_velocity_is(tmp_path: Path) -> None:
     assert "reference.velocity_n" not in proposed(tmp_path / "dive.mcap", messages(in_world=True, moved=False))
 
 

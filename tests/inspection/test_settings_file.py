@@ -142,7 +142,7 @@ def turned_dvl(dive: Dive, rpy_deg: tuple[float, float, float]) -> Dive:
         ),
     ],
 )
-def test_mounting_is_told_by_the_innovations(
+def test_mounting_is_reported_by_the_innovations(
     rpy_deg: tuple[float, float, float], turning: Dive, tmp_path: Path
 ) -> None:
     log = tmp_path / "log.mcap"
@@ -256,7 +256,7 @@ def test_readings_that_never_change_are_of_no_class(turning: Dive) -> None:
     assert imu_class(still, Config().initial)[0] == "mems"
 
 
-def test_what_was_given_stands_in_the_file_and_is_not_proposed_again(turning: Dive, tmp_path: Path) -> None:
+def test_what_was_given_is_in_the_file_and_is_not_proposed_again(turning: Dive, tmp_path: Path) -> None:
     log, vehicle = tmp_path / "log.mcap", tmp_path / "vehicle.toml"
     write_dive(log, turning)
     geometry = ["dvl.lever_arm_m=[1.0, 0.0, 0.5]", "dvl.mounting_rpy_deg=[0, 0, 2.0]"]

@@ -17,7 +17,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
-from insdvl_replay.inspection.dry_run import Candidate
+from insdvl_replay.inspection.dry_run import FieldMatch
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path
@@ -57,7 +57,7 @@ def test_dive_in_unknown_types_gives_the_tables_of_known_ones(
     log, known, file = tmp_path / "unknown.mcap", tmp_path / "known.mcap", tmp_path / "vehicle.toml"
     write(log, straight)
     inventory = inspect_log(log, load_config())
-    assert [obstacle.message for obstacle in inventory.remaining] == []
+    assert [blocker.message for blocker in inventory.remaining] == []
     file.write_text(decided(inventory, START | answers))
     unknown_logs.known_types(known, straight)
     start = [f"{key}={value}" for key, value in START.items()]
@@ -103,7 +103,7 @@ def test_fields_without_telling_names_are_listed_with_what_they_hold(straight: D
         "dvl.topic": '"two"', "dvl.velocity": '"east, west, south"',
     }  # fmt: skip
     file.write_text(decided(inventory, START | fields))
-    assert not inspect_log(log, load_config(file=file), deep=True).obstacles
+    assert not inspect_log(log, load_config(file=file), deep=True).blockers
 
 
 def test_beams_with_names_of_their_own_are_proposed(straight: Dive, tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_beams_with_names_of_their_own_are_proposed(straight: Dive, tmp_path: Pa
     config = load_config(file=file)
     assert config.dvl.beam_velocity == "vel_beam_1, vel_beam_2, vel_beam_3, vel_beam_4"
     assert config.dvl.beam_azimuth_deg == (45.0, 135.0, 225.0, 315.0)
-    assert not inspect_log(log, config, deep=True).obstacles
+    assert not inspect_log(log, config, deep=True).blockers
 
 
 def test_proposal_follows_the_topic_that_is_named(straight: Dive, tmp_path: Path) -> None:
@@ -199,5 +199,5 @@ def test_of_many_fields_those_named_alike_are_listed() -> None:
 )
 def test_a_vector_of_the_size_of_gravity_has_a_unit(size: float, unit: str) -> None:
     median = np.array([0.0, 0.0, -size])
-    assert Candidate("a", median, size, size).force_unit == unit
-    assert Candidate("a[*]", median, size, size).force_unit == "", "beams"
+    assert FieldMatch("a", median, size, size).force_unit == unit
+    assert FieldMatch("a[*]", median, size, size).force_unit == "", "beams"

@@ -114,7 +114,7 @@ def test_message_that_does_not_fit_its_schema_is_refused() -> None:
             reader("mode").columns(block_of([first, wrong]))
 
 
-def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_stand() -> None:
+def test_numbers_of_every_kind_are_read_as_by_struct_wherever_they_are() -> None:
     names = ["int8", "uint8", "byte", "char", "int16", "uint16", "int32", "uint32", "int64", "float32", "float64"]
     kinds = list(zip(names, "bBBBhHiIqfd", strict=True))
     text = "".join(f"{name} {name}_near\n{name}[40] {name}_row\n" for name, _ in kinds)

@@ -228,7 +228,7 @@ def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("kind", ["zstd", "no chunks"])
-def test_late_log_times_are_told_and_no_damage(kind: str, tmp_path: Path) -> None:
+def test_late_log_times_are_reported_and_no_damage(kind: str, tmp_path: Path) -> None:
     late_ns = 2**63 - small_logs.START_NS
     seen = open_recording(write(tmp_path / "late.mcap", _with_later_log_times(kind, late_ns)))
     assert [note.code for note in seen.notes] == ["log_times_late"]
@@ -252,7 +252,7 @@ def _with_later_log_times(kind: str, later_ns: int) -> bytes:
     return stream.getvalue()
 
 
-def test_a_clock_that_is_set_takes_no_memory_and_is_told(tmp_path: Path) -> None:
+def test_a_clock_that_is_set_takes_no_memory_and_is_reported(tmp_path: Path) -> None:
     dive = exact_dive("figure-eight", imu_rate_hz=20.0, reference_rate_hz=1.0)
     middle_ns, earlier_ns = int(dive.imu.time_ns.mean()), round(53.9 * 365.25 * 86400e9)
 
@@ -289,6 +289,6 @@ def test_legs_begin_where_a_grid_in_time_would_begin_them() -> None:
         np.testing.assert_array_equal(legs_m(Steps(time_s, way, way))[0], expected)
 
 
-def test_want_of_memory_is_no_mistake_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
+def test_want_of_memory_is_no_error_of_the_program(capsys: pytest.CaptureFixture[str]) -> None:
     assert log_failure(MemoryError("Unable to allocate 8 GiB"), 0) == 3
     assert "error: there is not enough memory: Unable to allocate 8 GiB; hint:" in capsys.readouterr().err

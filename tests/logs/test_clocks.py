@@ -85,7 +85,7 @@ def test_clocks_that_have_nothing_in_common_are_refused(other: str) -> None:
     assert "514944.000 s" in refusal.value.message
 
 
-def test_one_topic_with_two_roles_and_clocks_is_told_by_its_roles() -> None:
+def test_one_topic_with_two_roles_and_clocks_is_reported_by_its_roles() -> None:
     """The attitude of an IMU that is stamped by the recorder: only one key is left to be set."""
     imu, heading = replace(clock("imu", 0.0), stamp="log_time"), replace(clock("heading", 1e9), topic="/imu")
     with pytest.raises(LogError, match=r"imu and heading of /imu are stamped by different clocks") as refusal:
@@ -100,12 +100,12 @@ def test_spread_of_both_excuses_an_offset() -> None:
         clock_notes("a.mcap", [clock("imu", 0.0, 0.5), clock("dvl", 2.1, 0.5)], 1.0)
 
 
-def test_what_the_configuration_allows_is_told() -> None:
+def test_what_the_configuration_allows_is_reported() -> None:
     notes = clock_notes("a.mcap", [clock("imu", 0.0), clock("dvl", 30.0)], 60.0)
     assert [(note.code, note.severity) for note in notes] == [("dvl_clock_offset", "info"), ("clocks_apart", "warning")]
 
 
-def test_common_clock_that_is_not_the_recorders_is_told_and_used() -> None:
+def test_common_clock_that_is_not_the_recorders_is_reported_and_used() -> None:
     notes = clock_notes("a.mcap", [clock("imu", 5.96 * DAY_S), clock("dvl", 5.96 * DAY_S + 0.2)], 1.0)
     assert [note.code for note in notes] == ["imu_clock_offset", "dvl_clock_offset"]
 
@@ -126,7 +126,7 @@ UNITS = [(1.0, "seconds"), (1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "
 
 
 @pytest.mark.parametrize(("factor", "unit"), UNITS)
-def test_unit_of_a_number_is_told_by_how_it_runs(factor: float, unit: str) -> None:
+def test_unit_of_a_number_is_reported_by_how_it_runs(factor: float, unit: str) -> None:
     """Since zero, power-up, half an hour and 1970."""
     at_s = np.arange(200) * 0.05
     for since_s in (0.0, 3.0, 2000.0, 1.7e9):
@@ -134,7 +134,7 @@ def test_unit_of_a_number_is_told_by_how_it_runs(factor: float, unit: str) -> No
 
 
 @pytest.mark.parametrize(("factor", "unit"), UNITS)
-def test_unit_of_a_log_written_later_is_told_by_its_size(factor: float, unit: str) -> None:
+def test_unit_of_a_log_written_later_is_reported_by_its_size(factor: float, unit: str) -> None:
     at_s = np.arange(200) * 0.05
     assert stamp_unit((1.7e9 + at_s) * factor, ns(at_s / 400.0))[1] == unit
     assert stamp_unit(np.array([1.7e9 * factor]), ns(np.zeros(1)))[1] == unit
@@ -167,7 +167,7 @@ def write(path: Path, imu_behind_s: float, dvl_behind_s: float) -> Path:
     return path
 
 
-def test_log_with_two_clocks_is_refused_until_told_how_to_stamp(tmp_path: Path) -> None:
+def test_log_with_two_clocks_is_refused_until_reported_how_to_stamp(tmp_path: Path) -> None:
     path = write(tmp_path / "dive.mcap", imu_behind_s=1.69e9, dvl_behind_s=0.0)
     with pytest.raises(LogError, match="stamped by different clocks"):
         read_dive(path, Config())
@@ -194,7 +194,7 @@ def test_what_is_stamped_seconds_late_is_on_the_same_clock(tmp_path: Path) -> No
     assert not dive.notes
 
 
-def test_an_offset_is_told_as_the_log_has_it(tmp_path: Path) -> None:
+def test_an_offset_is_reported_as_the_log_has_it(tmp_path: Path) -> None:
     """By which an engineer finds it there, whatever latency was told."""
     path = write(tmp_path / "dive.mcap", imu_behind_s=40.0, dvl_behind_s=40.0)
     settings = Config(dvl=Dvl(latency_s=3.0), clocks=Clocks(max_disagreement_s=100.0))
@@ -205,7 +205,7 @@ def test_an_offset_is_told_as_the_log_has_it(tmp_path: Path) -> None:
     assert "latency" not in told["imu_clock_offset"]
 
 
-def test_two_clocks_are_told_as_the_log_has_them(tmp_path: Path) -> None:
+def test_two_clocks_are_reported_as_the_log_has_them(tmp_path: Path) -> None:
     path = write(tmp_path / "dive.mcap", imu_behind_s=0.0, dvl_behind_s=40.0)
     with pytest.raises(
         LogError, match=r"is 0\.000 s on the one and 40\.000 s on the other; dvl\.latency_s takes 3 s off"

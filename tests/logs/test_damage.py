@@ -230,12 +230,12 @@ def assert_loss_is_told(text: str, gone: set[Message]) -> None:
         return
     told = {topic: (bool(least), int(count), float(span_s)) for least, count, topic, span_s in LOST.findall(text)}
     assert told or "an unknown number of messages (at least " in text
-    for topic, (at_least, count, told_s) in told.items():
+    for topic, (at_least, count, reported_s) in told.items():
         assert 0 < count <= len(lost[topic])
         span_s = (lost[topic][-1] - lost[topic][0]) * 1e-9
         if not at_least:
             assert count == len(lost[topic])
-            assert told_s <= span_s + CHUNK_S + 0.4
+            assert reported_s <= span_s + CHUNK_S + 0.4
 
 
 def everything(path: Path, *, allow_damaged: bool) -> tuple[Recording, list[tuple[str, int, bytes]]]:
@@ -264,7 +264,7 @@ def test_a_log_that_is_wrong_in_two_ways_is_always_refused_in_the_same_words(tmp
     assert len(said) == 1
 
 
-def test_a_chunk_is_told_once_however_many_channels_its_indexes_leave_out(tmp_path: Path) -> None:
+def test_a_chunk_is_reported_once_however_many_channels_its_indexes_leave_out(tmp_path: Path) -> None:
     path, data = tmp_path / "dive.mcap", small_log("zstd")
     for which in (3, 2):  # the last ones behind the first chunk become records of somebody else
         data = in_record(INDEX, which, 0, b"\x90", data)
@@ -276,7 +276,7 @@ def test_a_chunk_is_told_once_however_many_channels_its_indexes_leave_out(tmp_pa
     assert "no messages are lost" in note.text
 
 
-def test_loss_is_told_by_topic_in_messages_and_seconds(tmp_path: Path) -> None:
+def test_loss_is_reported_by_topic_in_messages_and_seconds(tmp_path: Path) -> None:
     path = tmp_path / "dive.mcap"
     path.write_bytes(flip_payload(small_log("zstd")))
     log, found = everything(path, allow_damaged=True)

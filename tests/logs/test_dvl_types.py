@@ -182,7 +182,7 @@ def test_velocities_are_used_where_a_simulator_leaves_its_beams_at_zero(read: An
     np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, [5, 6], axis=0), atol=1e-12)
 
 
-def test_link_that_looks_down_with_its_x_axis_is_noticed_and_can_be_told(read: Any) -> None:
+def test_link_that_looks_down_with_its_x_axis_is_noticed_and_can_be_reported(read: Any) -> None:
     """As RexROV's: x down, y port, z forward."""
     to_link = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
 
@@ -239,7 +239,7 @@ def test_dave(read: Any) -> None:
     np.testing.assert_array_equal(np.argwhere(np.isnan(dive.dvl.beam_velocity_mps)), [[2, 1]])
 
 
-def test_dave_at_rest_tells_no_directions(read: Any) -> None:
+def test_dave_at_rest_reports_no_directions(read: Any) -> None:
     dive = read(
         "dave_interfaces/msg/DVL",
         lambda i: {"velocity": {"twist": {"linear": xyz(1e-3 * TRUE_D[i] * FLU)}}, "beams": [{"locked": True}] * 4},

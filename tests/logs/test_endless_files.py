@@ -21,7 +21,7 @@ def test_settings_gates_and_lists_have_an_end() -> None:
         load_gates(Path("/dev/zero"))
 
 
-def test_a_mark_in_front_of_the_text_is_passed_over(tmp_path: Path) -> None:
+def test_a_mark_in_front_of_the_text_is_ignored(tmp_path: Path) -> None:
     (tmp_path / "marked.toml").write_bytes(b"\xef\xbb\xbf[dvl]\nscale = 1.25\n")
     assert load_config(file=tmp_path / "marked.toml").dvl.scale == 1.25
 
@@ -36,7 +36,7 @@ def test_a_folder_that_links_to_itself_is_walked_once(tmp_path: Path) -> None:
     assert found == [tmp_path / "below" / "other.mcap", tmp_path / "dive.mcap"]
 
 
-def test_a_log_that_links_to_itself_is_told_as_one_that_cannot_be_read(tmp_path: Path) -> None:
+def test_a_log_that_links_to_itself_is_reported_as_one_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "dive.mcap").symlink_to("dive.mcap")
     (found,) = find_dives([str(tmp_path / "dive.mcap")])
     with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):

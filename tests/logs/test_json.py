@@ -151,7 +151,7 @@ def test_a_dive_of_json_messages_is_read_by_field_paths(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.arange(10) * 2 * 10**8)
 
 
-def test_a_message_without_its_stamp_is_left_out_wherever_it_stands(tmp_path: Path) -> None:
+def test_a_message_without_its_stamp_is_left_out_wherever_it_is(tmp_path: Path) -> None:
     missing = [0, 100, 199]
     path, time_ns = tmp_path / "dive.mcap", START_NS + np.arange(200) * 10**7
     with path.open("wb") as stream:

@@ -268,7 +268,7 @@ def assert_same(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("log", ["dive_path", "replay_path"])
-def test_messages_stand_in_the_order_of_validity(log: str, request: pytest.FixtureRequest) -> None:
+def test_messages_are_in_the_order_of_validity(log: str, request: pytest.FixtureRequest) -> None:
     path = request.getfixturevalue(log)
     times = []
     with path.open("rb") as stream:
@@ -299,7 +299,7 @@ def test_logs_carry_all_that_viewers_need(log: str, request: pytest.FixtureReque
     assert len({schema.name for schema in summary.schemas.values()}) == len(summary.schemas)
 
 
-def test_a_log_that_cannot_be_written_is_told_to_the_caller(tmp_path: Path) -> None:
+def test_a_log_that_cannot_be_written_is_reported_to_the_caller(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for path in (tmp_path / "nowhere" / "dive.mcap", tmp_path / "file" / "dive.mcap"):
         with pytest.raises(OSError, match="directory"):
@@ -428,7 +428,7 @@ def test_replay_has_the_topics_of_the_contract(replay_messages: Decoded) -> None
     }
 
 
-def test_reference_stands_beside_the_filters(replay_messages: Decoded) -> None:
+def test_reference_is_next_to_the_filters(replay_messages: Decoded) -> None:
     """As the log had it, inside the replay; poses from where the filters start."""
     reference, first = DIVE.reference, HISTORIES[0]
     assert reference is not None

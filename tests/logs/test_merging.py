@@ -24,7 +24,7 @@ def test_one_channel_is_given_back_as_it_is() -> None:
     assert (channel_ids.size, rows) == (0, None)
 
 
-def test_channels_are_laid_together_by_log_time() -> None:
+def test_channels_are_aligned_together_by_log_time() -> None:
     merged, channel_ids, rows = merge_channels(columns([1, 3, 2, 4], [1.0, 3.0, 2.0, 4.0]), [(1, 2), (2, 2)])
     assert merged["x"].ravel().tolist() == [1.0, 2.0, 3.0, 4.0]
     assert rows is not None
@@ -73,7 +73,7 @@ def test_files_of_one_dive_are_read_together(times: list[int]) -> None:
     raise_if_two_dives(table, nanoseconds(times))
 
 
-def test_files_whose_messages_lie_among_each_other_are_two_dives() -> None:
+def test_files_whose_messages_are_among_each_other_are_two_dives() -> None:
     times = [0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 1.5, 2.5, 3.5, 4.5]
     table = replace(small_table(times), files=np.repeat([0, 1], 5))
     with pytest.raises(LogError, match=r"in the 3\.500 s in which the files overlap, 4 messages of one lie among 4"):

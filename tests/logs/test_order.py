@@ -197,7 +197,7 @@ def test_harmless_disorder_is_no_warning(tmp_path: Path) -> None:
     assert len(dive.imu.time_ns) == 200
 
 
-def test_samples_that_share_a_stamp_are_told_from_repeats(tmp_path: Path) -> None:
+def test_samples_that_share_a_stamp_are_reported_from_repeats(tmp_path: Path) -> None:
     dive = read(tmp_path, steps(200) // (2 * STEP_NS) * (2 * STEP_NS))
     note = note_of(dive, "imu_same_times")
     assert (note.count, note.severity) == (100, "warning")
@@ -211,7 +211,7 @@ def test_stamps_that_most_samples_share_are_refused(tmp_path: Path) -> None:
     assert 'imu.stamp = "log_time"' in refused.value.hint
 
 
-def test_stamps_in_bursts_are_told(tmp_path: Path) -> None:
+def test_stamps_in_bursts_are_reported(tmp_path: Path) -> None:
     jitter = np.random.default_rng(3).normal(0.0, 0.1 * STEP_NS, 200)
     regular = read(tmp_path, steps(200) + np.rint(jitter).astype(np.int64))
     assert "imu_bursts" not in {note.code for note in regular.notes}

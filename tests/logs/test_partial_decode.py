@@ -72,8 +72,8 @@ def test_inspect_says_that_a_replay_would_stop(tmp_path: Path) -> None:
     path = tmp_path / "dive.mcap"
     path.write_bytes(harmed(big_endian))
     inventory = inspect_log(path, Config(), deep=True)
-    [obstacle] = [one for one in inventory.obstacles if "big-endian" in one.message]
-    assert obstacle.hint == f"--allow-damaged uses the 5.0 s and {IMU_MESSAGES - 3} messages that can be read"
+    [blocker] = [one for one in inventory.blockers if "big-endian" in one.message]
+    assert blocker.hint == f"--allow-damaged uses the 5.0 s and {IMU_MESSAGES - 3} messages that can be read"
     assert "messages_unreadable" in {note.code for note in inventory.notes}
 
 

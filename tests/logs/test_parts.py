@@ -152,8 +152,8 @@ def test_the_hint_of_a_damaged_part_counts_the_whole_dive(bag: Path) -> None:
     with pytest.raises(LogError, match=r"a\.mcap: is damaged at byte") as raised:
         read_dive(bag, Config())
     assert raised.value.hint == "--allow-damaged uses the 5.0 s and 525 messages that can be read"
-    obstacle, *_ = inspect_log(bag, Config()).obstacles
-    assert obstacle.hint == raised.value.hint
+    blocker, *_ = inspect_log(bag, Config()).blockers
+    assert blocker.hint == raised.value.hint
     assert "log_damaged" in counts(read_dive(bag, Config(), allow_damaged=True))
 
 
@@ -228,7 +228,7 @@ def test_run_replays_files_as_one_dive(bag: Path, tmp_path: Path) -> None:
 # Channels
 
 
-def test_channels_of_one_topic_are_merged_before_their_order_is_judged(tmp_path: Path, whole: Dive) -> None:
+def test_channels_of_one_topic_are_merged_before_their_order_is_evaluated(tmp_path: Path, whole: Dive) -> None:
     path = tmp_path / "dive.mcap"
     path.write_bytes(small_log("zstd"))
     dive = read_dive(path, Config())

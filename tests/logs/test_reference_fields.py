@@ -143,7 +143,7 @@ def test_inspect_proposes_no_altitude_as_height_and_no_half_attitude(dive: Dive,
     assert proposed.keys() == {"topic", "latitude", "longitude", "depth", "angle_unit", "stamp"}
 
 
-def test_fields_without_a_topic_are_not_passed_over(dive: Dive, tmp_path: Path) -> None:
+def test_fields_without_a_topic_are_not_ignored(dive: Dive, tmp_path: Path) -> None:
     log = foreign_log(dive, by_angles, tmp_path / "dive.mcap")
     with pytest.raises(LogError, match="has no topic for the reference") as refused:
         read_dive(log, load_config(overrides=["reference.latitude=lat", "reference.longitude=lon"]))

@@ -91,7 +91,7 @@ def test_columns_equal_what_rosbags_serialised(
 PING = {"seq": 1, "frame": "dvl", "low": 0, "high": 0, "x": 1.0, "names": ["a", "b"], "beams": [1.0, 2.0]}
 
 
-def test_messages_of_other_lengths_stand_side_by_side() -> None:
+def test_messages_of_other_lengths_are_side_by_side() -> None:
     pings = [PING, PING | {"beams": [3.0]}, PING | {"names": []}]
     columns = reader("beams[*].velocity").columns(block_of([serialised(ping) for ping in pings]))
     np.testing.assert_array_equal(columns["beams[*].velocity"], [[1.0, 2.0], [3.0, np.nan], [1.0, 2.0]])
@@ -136,7 +136,7 @@ def test_times_go_on_to_2106_and_durations_may_be_negative() -> None:
     assert columns["d"].tolist() == [[-1, -1]]
 
 
-def test_what_a_schema_lacks_is_told_with_what_writes_it() -> None:
+def test_what_a_schema_lacks_is_reported_with_what_writes_it() -> None:
     with pytest.raises(LogError, match="the schema uses std_msgs/msg/Header") as error:
         definitions_of(TYPE, "Header header", "ros1")
     assert "`mcap convert`" in error.value.hint

@@ -166,7 +166,7 @@ def test_a_bag_that_was_cut_gives_what_is_whole_of_it(bag: Path, whole: Dive) ->
     np.testing.assert_array_equal(dive.imu.specific_force_b, whole.imu.specific_force_b[:size])
 
 
-def test_an_end_that_contradicts_a_chunk_is_told(bag: Path) -> None:
+def test_an_end_that_contradicts_a_chunk_is_reported(bag: Path) -> None:
     """The last bytes of the bag say how many messages its last connection has in its last chunk."""
     data = bag.read_bytes()
     bag.write_bytes(data[:-4] + bytes([data[-4] ^ 1]) + data[-3:])
@@ -219,7 +219,7 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_is_no_bag_is_told_by_its_place(content: bytes, said: str, tmp_path: Path) -> None:
+def test_what_is_no_bag_is_reported_by_its_place(content: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "dive.bag"
     path.write_bytes(unclosed(content))
     with pytest.raises(LogError) as raised:

@@ -132,7 +132,7 @@ def test_known_types_agree_with_recorded_logs() -> None:
     assert {"sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "rcl_interfaces/msg/Log"} <= compared
 
 
-def test_project_definitions_are_found_beside_the_package_and_inside_it() -> None:
+def test_project_definitions_are_found_next_to_the_package_and_inside_it() -> None:
     _, inside, beside = definition_folders()
     assert inside == ROOT / "insdvl_replay" / "schemas"
     assert beside == ROOT / "schemas"

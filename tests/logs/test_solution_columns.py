@@ -67,19 +67,19 @@ def test_covariances_of_odometry_are_those_of_errors_in_n(tmp_path: Path) -> Non
     """Against errors that are drawn in the message's own frames and turned by scipy."""
     pose, twist = 1e-4 * full(1, 6), 1e-2 * full(2, 6)
     solution, _ = solution_of(tmp_path, "nav_msgs/msg/Odometry", [odometry(i, pose, twist) for i in range(20)])
-    assert solution.way_n is not None
-    np.testing.assert_allclose(solution.way_n, WAY_N, atol=1e-12)
+    assert solution.moved_n is not None
+    np.testing.assert_allclose(solution.moved_n, WAY_N, atol=1e-12)
     np.testing.assert_allclose(solution.motion.velocity_n, VELOCITY_N, atol=1e-12)
     np.testing.assert_allclose(solution.motion.mat_nb, TURNS.as_matrix(), atol=1e-12)
     rng, row = np.random.default_rng(3), 13
     errors = rng.multivariate_normal(np.zeros(6), pose, 200_000, method="cholesky")
     twists = rng.multivariate_normal(np.zeros(3), twist[:3, :3], 200_000, method="cholesky")
-    turn_n, way_n = ENU_OF_NED.inv().apply(errors[:, 3:]), ENU_OF_NED.inv().apply(errors[:, :3])
+    turn_n, moved_n = ENU_OF_NED.inv().apply(errors[:, 3:]), ENU_OF_NED.inv().apply(errors[:, :3])
     # What the message says of the velocity, turned by an attitude that is off, less what it is.
     said_b = TURNS[row].inv().apply(VELOCITY_N[row]) + FLU_OF_FRD.apply(twists)
     velocity_n = (Rotation.from_rotvec(turn_n) * TURNS[row]).apply(said_b) - VELOCITY_N[row]
     # P speaks of the velocity without what the misalignment turns of the true one: dv = C dv_b - v x phi is that.
-    drawn = np.cov(np.hstack([velocity_n, turn_n, way_n]).T)
+    drawn = np.cov(np.hstack([velocity_n, turn_n, moved_n]).T)
     scale = np.sqrt(np.outer(np.diag(drawn), np.diag(drawn)))
     np.testing.assert_allclose(solution.cov[row] / scale, drawn / scale, atol=0.02)
 
@@ -100,7 +100,7 @@ def test_covariances_of_odometry_are_those_of_errors_in_n(tmp_path: Path) -> Non
         (np.diag([np.nan, 1, 1, 1, 1, 1]), np.eye(6), "va"),
     ],
 )
-def test_what_stands_for_no_covariance_tells_nothing(pose: Floats, twist: Floats, told: str, tmp_path: Path) -> None:
+def test_what_is_for_no_covariance_reports_nothing(pose: Floats, twist: Floats, told: str, tmp_path: Path) -> None:
     solution, dive = solution_of(tmp_path, "nav_msgs/msg/Odometry", [odometry(i, pose, twist) for i in range(20)])
     known = np.isfinite(solution.cov).all(axis=0)
     blocks = {"v": slice(0, 3), "a": slice(3, 6), "p": slice(6, 9)}
@@ -162,9 +162,9 @@ def test_odometry_of_px4_has_positions_where_its_frame_has_a_north(tmp_path: Pat
         }
 
     solution, _ = solution_of(tmp_path, "px4_msgs/msg/VehicleOdometry", [message(i) for i in range(20)])
-    assert solution.way_n is not None
-    assert np.flatnonzero(np.isnan(solution.way_n).any(axis=1)).tolist() == [5]
-    np.testing.assert_allclose(np.delete(solution.way_n, 5, axis=0), np.delete(WAY_N, 5, axis=0), atol=1e-6)
+    assert solution.moved_n is not None
+    assert np.flatnonzero(np.isnan(solution.moved_n).any(axis=1)).tolist() == [5]
+    np.testing.assert_allclose(np.delete(solution.moved_n, 5, axis=0), np.delete(WAY_N, 5, axis=0), atol=1e-6)
     assert np.isnan(solution.cov).all()
 
 
@@ -173,7 +173,7 @@ def test_poses_with_covariances_and_positions_of_a_topic_of_their_own(tmp_path: 
     pose = [odometry(i, np.eye(6), np.eye(6)) for i in range(20)]
     messages = [{"header": one["header"], "pose": one["pose"]} for one in pose]
     solution, _ = solution_of(tmp_path, "geometry_msgs/msg/PoseWithCovarianceStamped", messages)
-    assert solution.way_n is not None
+    assert solution.moved_n is not None
     assert np.isfinite(solution.cov[:, 3:, 3:]).all()
     assert np.isnan(solution.cov[:, :3, :3]).all()
 
@@ -186,8 +186,8 @@ def test_stamps_that_go_back_or_repeat_are_noted(tmp_path: Path) -> None:
     assert {note.code for note in dive.notes} >= {"solution_out_of_order", "solution_repeats"}
     assert len(solution.motion.time_ns) == 19
     assert (np.diff(solution.motion.time_ns) > 0).all()
-    assert solution.way_n is not None
-    np.testing.assert_allclose(solution.way_n, np.delete(WAY_N, 15, axis=0), atol=1e-12)
+    assert solution.moved_n is not None
+    np.testing.assert_allclose(solution.moved_n, np.delete(WAY_N, 15, axis=0), atol=1e-12)
 
 
 # --- TUM files
@@ -211,7 +211,7 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
     )
     solution, notes = read_tum(file, Solution(file=str(file), latency_s=0.25), "filters.b.solution")
     assert (solution.motion.time_ns + 250_000_000 - START_NS).tolist() == [123_456_789, 1_500_000_000, 2_000_000_001]
-    np.testing.assert_array_equal(solution.way_n, [[2.0, 1.0, -3.0], [8.0, 7.0, -9.0], [5.0, 4.0, -6.0]])
+    np.testing.assert_array_equal(solution.moved_n, [[2.0, 1.0, -3.0], [8.0, 7.0, -9.0], [5.0, 4.0, -6.0]])
     assert np.isfinite(solution.motion.mat_nb).all(axis=(1, 2)).tolist() == [True, False, True]
     assert [(note.code, note.count) for note in notes] == [("solution_out_of_order", 1), ("solution_repeats", 1)]
 
@@ -227,7 +227,7 @@ def test_a_tum_file_keeps_every_nanosecond_and_is_sorted(tmp_path: Path) -> None
         ("1e30 0 0 0 0 0 0 1", "line 2 is no pose"),
     ],
 )
-def test_a_line_that_is_no_pose_is_told_with_its_number(line: str, message: str, tmp_path: Path) -> None:
+def test_a_line_that_is_no_pose_is_reported_with_its_number(line: str, message: str, tmp_path: Path) -> None:
     file = tum(tmp_path, "0.5 0 0 0 0 0 0 1", line)
     with pytest.raises(LogError) as caught:
         read_tum(file, Solution(file=str(file)), "filters.b.solution")

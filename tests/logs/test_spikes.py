@@ -104,13 +104,13 @@ def test_a_filter_that_is_thrown_off_comes_back(clean: Dive, tmp_path: Path, reo
     notes = {note.code: note for note in replay.notes if "baseline" in note.text}
     if not reopen_after:
         assert "gate_rejects_many" in notes
-        assert replay.verdicts["aided"].improvement == "not evaluated"
+        assert replay.verdicts["aided"].verdict == "not evaluated"
         return
     np.testing.assert_array_equal(np.diff(rejected), 1)
     assert np.flatnonzero(velocity.reopened).tolist() == [rejected[-1] + 1]
     assert velocity.used[velocity.reopened].all()
     assert (notes["gate_reopened"].count, notes["gate_reopened"].severity) == (1, "warning")
-    assert replay.verdicts["aided"].improvement != "not evaluated"
+    assert replay.verdicts["aided"].verdict != "not evaluated"
     assert dive_speed_error(replay) < 0.1
 
 

@@ -118,7 +118,7 @@ def test_nothing_is_written_where_nothing_may_be(iron: Path, whole: Dive, tmp_pa
     assert part.read_bytes() == before
 
 
-def test_what_stands_beside_the_file_is_not_passed_over(part: Path, whole: Dive) -> None:
+def test_what_is_next_to_the_file_is_not_ignored(part: Path, whole: Dive) -> None:
     for ending in ("-wal", "-journal"):
         beside = part.with_name(f"{part.name}{ending}")
         beside.write_bytes(bytes(8))

@@ -173,7 +173,7 @@ def test_dvl_that_reports_velocities_is_taken_at_its_word() -> None:
     assert solved.pings_without_velocity == 1
 
 
-def test_dvl_without_readings_is_a_programmers_mistake() -> None:
+def test_dvl_without_readings_is_a_programmers_error() -> None:
     with pytest.raises(ValueError, match="beams"):
         dvl_velocities(DvlColumns(np.arange(3), beam_velocity_mps=np.zeros((3, 4))))
 
@@ -257,7 +257,7 @@ def test_slope_of_velocities_is_a_sum_of_their_changes(seed: int, order: int, sp
     np.testing.assert_allclose(windows.velocity_weights.sum(axis=1), 0.0, atol=1e-9)
 
 
-def test_slope_stands_at_the_middle_of_its_window() -> None:
+def test_slope_is_at_the_middle_of_its_window() -> None:
     time_s = irregular_times_s(5, 4)
     slope = windowed_sum(slope_windows(time_s, 4, 2).velocity_weights, time_s[:, None] ** 2)[-1]
     np.testing.assert_allclose(slope, 2.0 * time_s.mean(), atol=1e-10)

@@ -61,7 +61,7 @@ def test_the_clock_does_not_matter(dive: Dive, replayed: Replay) -> None:
         assert_same(history, expected)
 
 
-def test_like_filters_believe_alike(dive: Dive) -> None:
+def test_like_filters_predict_alike(dive: Dive) -> None:
     like = Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration())
     result = replay_dive(dive, Config(dvl=CONFIG.dvl, filters={"first": like, "second": like}))
     assert_same(*result.histories)

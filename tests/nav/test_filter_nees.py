@@ -125,14 +125,14 @@ def test_baselines_innovations_are_as_large_as_it_says(consistency: Consistency)
 
 
 @pytest.mark.nightly
-def test_published_acceleration_makes_the_filter_believe_too_much(consistency: Consistency) -> None:
+def test_published_acceleration_makes_the_filter_predict_too_much(consistency: Consistency) -> None:
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["published"] > 3.0 * high).all(), "white noise of one sample taken for the window's"
     assert consistency.nees["published"][2:].min() > 100.0 * high, "in a turn it leaves out w x v"
 
 
 @pytest.mark.nightly
-def test_windowed_acceleration_believes_too_much_for_using_velocities_twice(consistency: Consistency) -> None:
+def test_windowed_acceleration_predicts_too_much_for_using_velocities_twice(consistency: Consistency) -> None:
     _, high = mean_interval(12, RUNS)
     assert (consistency.nees["windowed"] > high).all()
     assert (consistency.nees["windowed"] < 3.0 * high).all()

@@ -20,7 +20,7 @@ from insdvl_replay.replay import replay_dive
         pytest.param(Case(mounting_rpy_deg=(3.0, -2.0, 45.0)), id="mounting rotation"),
     ],
 )
-def test_baseline_believes_what_python_ins_believes(case: Case) -> None:
+def test_baseline_predicts_what_python_ins_predicts(case: Case) -> None:
     dive = case.dive()
     (history,) = replay_dive(dive, case.config()).histories
     ours, theirs = our_belief(history, int(dive.dvl.time_ns[-1])), their_belief(dive, case.velocities(dive))

@@ -94,7 +94,7 @@ def test_printed_signs_converge_to_what_is_not_so() -> None:
     assert abs(error[BA][0]) > 10.0 * sd[BA][0], "the misalignment is taken for a bias, far outside what is believed"
 
 
-def test_consistent_signs_leave_open_what_cannot_be_told(program_sd: Floats) -> None:
+def test_consistent_signs_leave_open_what_cannot_be_reported(program_sd: Floats) -> None:
     sd, error = aided_run(CONSISTENT)
     assert (np.abs(error) < sd).all()
     np.testing.assert_allclose(program_sd[BA], sd[BA], rtol=0.01)

@@ -118,7 +118,7 @@ def test_intervals_that_touch_a_gap_only_at_its_end_do_not_overlap_it() -> None:
     assert gaps.overlap(at_ns, at_ns).tolist() == [False, True, False, False, True, False]
 
 
-def test_longest_stretch_lies_between_gaps_and_ends_of_the_span() -> None:
+def test_longest_stretch_is_between_gaps_and_ends_of_the_span() -> None:
     gaps = Gaps(times(10.0, 20.0), times(12.0, 25.0), np.zeros((2, 12)))
     for span, kept in [((0, 30), (0, 10)), ((4, 30), (12, 20)), ((0, 60), (25, 60)), ((11, 13), (12, 13))]:
         assert gaps.longest_stretch(*times(*span).tolist()) == tuple(times(*kept).tolist())

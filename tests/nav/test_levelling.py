@@ -174,7 +174,7 @@ def test_levels_scatter_as_they_say(motion: str, preset: str) -> None:
     assert np.mean(squares) == pytest.approx(len(LEVEL_STATES), abs=2.1)
 
 
-def test_noise_that_pings_show_counts_if_it_is_more_than_they_are_told() -> None:
+def test_noise_that_pings_show_counts_if_it_is_more_than_they_are_reported() -> None:
     dive = exact("going")
     errors = matched_errors(load_config(preset="fog"))
     loud = add_errors(dive, errors[0], replace(errors[1], beam_sd_mps=0.2), seed=3)
@@ -237,7 +237,7 @@ def test_pause_of_the_imu_ends_the_levelling() -> None:
     np.testing.assert_allclose(start_errors(dive, found)[3:5] / DEG, 0.0, atol=0.01)
 
 
-def test_note_tells_the_level_and_its_uncertainty() -> None:
+def test_note_reports_the_level_and_its_uncertainty() -> None:
     found = levelled(exact("reeling"), Config(initial=LEVEL))
     roll_deg, pitch_deg, _ = rpy_from_mat(found.start.mat_nb) / DEG
     (note,) = (note for note in found.notes if note.code == "start_levelled")

@@ -282,7 +282,7 @@ def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
 
 
 @pytest.mark.nightly
-def test_nis_of_the_last_withheld_ping_is_that_of_a_filter_that_knows_its_noise() -> None:
+def test_nis_of_the_last_held_out_ping_is_that_of_a_filter_that_knows_its_noise() -> None:
     """Windows of one dive share its biases; of many dives, sums of NIS are chi-square."""
     noise = Noise(accel_white_mps_rts=5e-3, gyro_white_rad_rts=4.4e-5)
     config = Config(noise=noise, dvl=Dvl(velocity_sd_mps=0.01), filters={"baseline": Filter(aiding=("velocity",))})

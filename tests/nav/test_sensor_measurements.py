@@ -107,7 +107,7 @@ def test_headings_on_both_sides_of_south_are_near_each_other() -> None:
     assert z[0] == pytest.approx(-0.01, abs=1e-9)
 
 
-def test_depth_is_that_of_the_gauge() -> None:
+def test_depth_is_that_of_the_depth_sensor() -> None:
     """A gauge 1.8 m behind the IMU of a vehicle whose bow is down is higher."""
     z, _ = linearised(DEPTH, np.array([20.0]), np.zeros(STATES))
     assert z[0] == pytest.approx((MAT_NB @ ARM_B)[2])

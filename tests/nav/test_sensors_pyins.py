@@ -25,7 +25,7 @@ START_SD_M, FIX_SD_M, DEPTH_SD_M = 5.0, 0.5, 0.05
         ),
     ],
 )
-def test_fifteen_states_believe_what_those_of_python_ins_believe(scenario: str, sensor: str | None) -> None:
+def test_fifteen_states_predict_what_those_of_python_ins_predict(scenario: str, sensor: str | None) -> None:
     case = Case(scenario, sensors={"position": SensorErrors(FIX_SD_M), "depth": SensorErrors(DEPTH_SD_M)})
     dive = case.dive()
     more = {"position": fixes(dive, FIX_SD_M), "depth": depths(dive, DEPTH_SD_M)}

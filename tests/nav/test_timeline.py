@@ -95,7 +95,7 @@ def test_span_may_begin_and_end_between_samples() -> None:
     assert at.ping[-1] == 0
 
 
-def test_readings_lie_on_the_line_between_samples() -> None:
+def test_readings_are_on_the_line_between_samples() -> None:
     imu = imu_100_hz()
     ping_ns = ns(1, 5 * MS, 10 * MS, 37 * MS, 100 * MS - 1)
     at = instants(whole(imu, ping_ns))

@@ -85,7 +85,7 @@ def test_start_waits_for_an_attitude(dive: Dive) -> None:
 
 
 @pytest.mark.parametrize("quantity", ["position", "velocity_n"])
-def test_what_the_first_attitude_lacks_comes_from_the_rows_beside_it(dive: Dive, quantity: str) -> None:
+def test_what_the_first_attitude_lacks_comes_from_the_rows_next_to_it(dive: Dive, quantity: str) -> None:
     reference = reference_of(dive)
     known = getattr(reference, quantity)
     gappy = known.copy()
@@ -256,7 +256,7 @@ def test_configured_heading_far_from_the_references_is_a_warning(dive: Dive, hea
 @pytest.mark.parametrize(
     ("heading_deg", "told"), [(77.0, True), (37.0, True), (34.0, False), (-330.0, False), (None, False), ("fit", False)]
 )
-def test_configured_heading_beside_a_references_attitude_is_a_warning(
+def test_configured_heading_next_to_a_references_attitude_is_a_warning(
     dive: Dive, heading_deg: float | Literal["fit"] | None, told: bool
 ) -> None:
     found = aligned(dive, reference_of(dive), Initial(heading_deg=heading_deg))
@@ -267,7 +267,7 @@ def test_configured_heading_beside_a_references_attitude_is_a_warning(
         assert re.match(rf"initial\.heading_deg .*{heading_deg:g}, .*\b30\.0 deg", note.text)
 
 
-def test_configured_latitude_beside_a_reference_of_another_is_a_warning(dive: Dive) -> None:
+def test_configured_latitude_next_to_a_reference_of_another_is_a_warning(dive: Dive) -> None:
     found = aligned(dive, reference_of(dive), msgspec.structs.replace(LEVEL, latitude_deg=-32.8))
     np.testing.assert_allclose(found.start.position, reference_of(dive).position[0], rtol=0.0, atol=1e-13)
     (note,) = (note for note in found.notes if note.code == "start_latitude_contradiction")
@@ -291,7 +291,7 @@ def test_rows_that_are_not_finite_start_nothing(dive: Dive, quantity: str) -> No
     assert codes(found) == (["start_velocity_dvl"] if quantity == "velocity_n" else [])
 
 
-def test_height_that_is_far_from_the_start_is_told(dive: Dive) -> None:
+def test_height_that_is_far_from_the_start_is_reported(dive: Dive) -> None:
     reference = reference_of(dive)
     position = reference.position.copy()
     position[:20, 2] = np.nan

@@ -258,7 +258,7 @@ def test_an_ahrs_that_begins_after_the_dive_is_an_error() -> None:
         replay_dive(replace(dive, sensors={"heading": late}), config())
 
 
-def test_rows_without_an_attitude_are_passed_over() -> None:
+def test_rows_without_an_attitude_are_ignored() -> None:
     dive = simulated()
     columns, rpy = ahrs_of(dive)
     assert columns.mat_nb is not None

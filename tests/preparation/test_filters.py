@@ -97,7 +97,7 @@ def test_noise_of_a_beam_is_turned_with_the_mounting(dive: Dive, tilt_deg: float
 
 
 @COMBINATIONS
-def test_simulated_sensors_err_as_the_filter_is_told(common: Named, own: Named, expected: Expected) -> None:
+def test_simulated_sensors_err_as_the_filter_is_reported(common: Named, own: Named, expected: Expected) -> None:
     """What the drawn noise scatters by, against R of the filter that it is drawn for."""
     del expected
     config, filter_ = configured(common, own)

@@ -30,7 +30,7 @@ def pings_ns(*spans_s: tuple[float, float]) -> np.ndarray:
         ([(1.0, 700.0)], 1, "1301 s .*699 s"),
     ],
 )
-def test_long_outages_are_told(spans_s: list[tuple[float, float]], count: int, words: str) -> None:
+def test_long_outages_are_reported(spans_s: list[tuple[float, float]], count: int, words: str) -> None:
     notes = outage_notes(pings_ns(*spans_s), 0, 2_000_000_000_000)
     assert [(note.code, note.severity, note.count) for note in notes] == [("dvl_outages", "warning", count)] * bool(
         count

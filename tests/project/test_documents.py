@@ -171,7 +171,7 @@ def test_headings_of_a_chapter_have_anchors_of_their_own(chapter: str) -> None:
     assert len(anchors(PROJECT / chapter)) == len(headings)
 
 
-def test_every_chapter_stands_in_the_table_of_contents() -> None:
+def test_every_chapter_is_in_the_table_of_contents() -> None:
     linked = re.findall(r"^\| \[.+\]\((.+)\) \|", text_of("docs/equations/README.md"), re.MULTILINE)
     assert sorted(["README.md", *linked]) == [Path(chapter).name for chapter in CHAPTERS]
 
@@ -222,7 +222,7 @@ def test_commands_and_options_exist(document: str) -> None:
     assert alone <= set().union(*known.values())
 
 
-def test_every_command_stands_in_the_readme() -> None:
+def test_every_command_is_in_the_readme() -> None:
     text = text_of("README.md")
     assert {name for name in commands() if f"insdvl-replay {name}" not in text} == set()
 
@@ -356,6 +356,6 @@ def test_citation_has_what_it_needs_and_the_version() -> None:
     assert [author["family-names"] for author in paper["authors"]] == ["Levy", "Klein"]
 
 
-def test_changelog_tells_of_this_version() -> None:
+def test_changelog_reports_of_this_version() -> None:
     first = re.findall(r"^## (\S+)", text_of("CHANGELOG.md"), re.MULTILINE)[0]
     assert first == __version__

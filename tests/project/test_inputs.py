@@ -48,7 +48,7 @@ FILES = [(known, bytes.fromhex(start) + bytes(60)) for known in OTHER_FORMATS fo
 
 
 @pytest.mark.parametrize(("known", "data"), FILES, ids=lambda value: getattr(value, "name", ""))
-def test_file_that_is_not_read_is_told_by_its_bytes_with_the_step_that_helps(
+def test_file_that_is_not_read_is_reported_by_its_bytes_with_the_step_that_helps(
     known: OtherFormat, data: bytes, tmp_path: Path
 ) -> None:
     # Named like something else, where bytes tell.

@@ -10,7 +10,7 @@ from judge import (
     SEA_QUESTIONS,
     Judged,
     JudgedDive,
-    judged_candidates,
+    evaluated_candidates,
     judged_dives,
     page,
     rates,
@@ -32,9 +32,9 @@ def number_of(name: str) -> int:
 
 
 @pytest.mark.nightly
-def test_a_baseline_that_hardly_trusts_its_dvl_is_beaten_and_a_dead_one_is_not_judged() -> None:
+def test_a_baseline_that_hardly_trusts_its_dvl_is_beaten_and_a_dead_one_is_not_evaluated() -> None:
     tasks = [(number_of(name), dive) for name in (CAUTIOUS, DEAD) for dive in range(DIVES)]
-    better, dead = judged_candidates(list(judged_dives(tasks, jobs=1)), "reference")
+    better, dead = evaluated_candidates(list(judged_dives(tasks, jobs=1)), "reference")
     assert (better.name, better.kind, better.words["better"]) == (CAUTIOUS, "A", DIVES)
     assert (dead.name, dead.kind, dead.words) == (DEAD, "D", Counter({"not evaluated": DIVES}))
     told = page([better, dead], DIVES, "reference", 1.0)
@@ -91,7 +91,7 @@ def test_a_class_is_certain_if_the_intervals_allow_for_no_other(drift: Ratio, ve
 def test_whole_groups_of_eight_dives_are_pooled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(judge, "pooled_word", lambda _, evidence: f"{evidence[0]} to {evidence[-1]}")
     dives = [JudgedDive(0, {"aided": "better"}, {"aided": dive}, {}, None) for dive in range(20)]
-    (found,) = judged_candidates(dives, "reference")
+    (found,) = evaluated_candidates(dives, "reference")
     assert found.pooled == Counter(["0 to 7", "8 to 15"])
     assert found.words == Counter(better=20)
 

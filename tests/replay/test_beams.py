@@ -70,7 +70,7 @@ def test_with_all_beams_the_posterior_is_that_of_the_velocity() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("states", [(), ("dvl_scale",)])
-def test_beside_fixes_and_a_depth_the_posterior_is_that_of_the_velocity_beside_them(states: tuple[str, ...]) -> None:
+def test_next_to_fixes_and_a_depth_the_posterior_is_that_of_the_velocity_next_to_them(states: tuple[str, ...]) -> None:
     """What a fix has said of the position is not left in the Jacobian of the beams after it."""
     others = ("depth", "position")
     filters = {word: Filter(aiding=(word, *others), states=states) for word in ("velocity", "beams")}
@@ -140,9 +140,9 @@ def horizontal_drift_m(replay: Replay, name: str) -> float:
 def test_two_beams_are_better_than_none_and_worse_than_all() -> None:
     """Over 60 s, rms of eight dives."""
     every = range(4)
-    losses = {"none": [], "two": [1, 2], "all": [*every]}
+    squared_errors = {"none": [], "two": [1, 2], "all": [*every]}
     drift = {}
-    for name, beams in losses.items():
+    for name, beams in squared_errors.items():
         lost = [LostBeam(beam, *LOST) for beam in beams]
         replays = [replay_dive(simulated(seed, lost_beams=lost), settings()) for seed in range(8)]
         drift[name] = np.sqrt(np.mean([horizontal_drift_m(replay, "single") ** 2 for replay in replays]))
@@ -224,7 +224,7 @@ def test_pings_that_are_lost_are_in_a_row_though_one_beam_is_dead() -> None:
 
 
 @pytest.mark.parametrize("beam", [0, *(pytest.param(beam, marks=pytest.mark.nightly) for beam in (1, 2, 3))])
-def test_whichever_beam_errs_the_filter_that_refuses_it_is_judged(beam: int) -> None:
+def test_whichever_beam_errs_the_filter_that_refuses_it_is_evaluated(beam: int) -> None:
     dive = simulated(7)
     assert dive.dvl.beam_velocity_mps is not None
     rng, beams = np.random.default_rng(1), dive.dvl.beam_velocity_mps.copy()
@@ -234,7 +234,7 @@ def test_whichever_beam_errs_the_filter_that_refuses_it_is_judged(beam: int) -> 
 
 
 @pytest.mark.parametrize("heard", [range(4), range(3)], ids=["four beams", "the last is dead"])
-def test_a_filter_whose_pings_are_refused_is_not_judged(heard: range) -> None:
+def test_a_filter_whose_pings_are_refused_is_not_evaluated(heard: range) -> None:
     """A metre a second more for 300 of 1199 pings, to which the filter is never set."""
     dive, config = simulated(7), settings(0.999)
     assert dive.dvl.beam_velocity_mps is not None

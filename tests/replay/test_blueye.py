@@ -33,7 +33,7 @@ def test_square_stays_within_two_metres_of_the_satellite_track(replay: Replay) -
     assert rows.loc[("aided", "heading"), "status"] == "not in reference"
 
 
-def test_dive_with_stamps_in_bursts_is_told_and_consistent_in_the_mean_with_the_settings_of_the_example() -> None:
+def test_dive_with_stamps_in_bursts_is_reported_and_consistent_in_the_mean_with_the_settings_of_the_example() -> None:
     overrides = ["initial.heading_deg=112.3", "dvl.scale=1.061", "initial.gyro_bias_degph=[0,0,412]"]
     overrides += ["dvl.latency_s=0.124"]
     overrides += ["noise.accel_white_mps_rts=0.05", "noise.gyro_white_rad_rts=5e-4"]
@@ -55,7 +55,7 @@ def test_every_repeat_is_counted(replay: Replay) -> None:
     assert notes["dvl_same_values"] / 5425 == pytest.approx(0.77, abs=0.02)
 
 
-def test_beams_add_up_to_the_velocity_beside_them(replay: Replay) -> None:
+def test_beams_add_up_to_the_velocity_next_to_them(replay: Replay) -> None:
     """Solved beams against the maker's own velocity, which no filter here uses."""
     path = DATA / "auto_square.mcap"
     settings = {"topic": "blueye.protocol.DvlVelocityTel"}

@@ -103,7 +103,7 @@ def test_what_is_known_of_the_bias_is_one_measurement_more() -> None:
     assert known.heading - unknown.heading == pytest.approx((unknown.bias + 2e-5) * 400.0 / 2.0, rel=0.3)
 
 
-def test_a_dive_whose_track_tells_no_heading_says_so(truth: Dive) -> None:
+def test_a_dive_whose_track_reports_no_heading_says_so(truth: Dive) -> None:
     dive = among_positions(truth, 5, 0.0)
     with pytest.raises(LogError, match="heading at the start"):
         replay_dive(dive, once("mems", "span.end_s=40"))

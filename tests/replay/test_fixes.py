@@ -74,10 +74,10 @@ def good(exact: Dive) -> list[Replay]:
 def test_good_fixes_are_better_by_position_over_several_dives(good: list[Replay]) -> None:
     for replay in good:
         row = evidence(replay)["position"]
-        assert (row.evidence, row.word, row.effective_samples) == ("track", "undecided", 1.0)
+        assert (row.evidence, row.verdict, row.effective_samples) == ("track", "undecided", 1.0)
     found = pooled_candidate("candidate", "baseline", [replay.tables.evidence for replay in good], len(good))
-    assert found.judgement == "better"
-    assert "position" in [row.quantity for row in found.rows if row.word == "better"]
+    assert found.verdict == "better"
+    assert "position" in [row.quantity for row in found.rows if row.verdict == "better"]
 
 
 def test_track_has_the_numbers_of_the_reference_errors_and_of_the_distance(good: list[Replay]) -> None:
@@ -96,19 +96,19 @@ def test_track_has_the_numbers_of_the_reference_errors_and_of_the_distance(good:
 
 
 @pytest.mark.all_starts
-def test_bad_fixes_are_worse_or_not_judged_and_their_nis_is_told(exact: Dive) -> None:
+def test_bad_fixes_are_worse_or_not_evaluated_and_their_nis_is_reported(exact: Dive) -> None:
     replays = [replay_dive(survey(exact, FOG, seed, bad_share=0.2), FOG) for seed in range(2)]
     for replay in replays:
         assert (evidence(replay)["position"].ratio or 0.0) > 1.5
-        assert replay.verdicts["candidate"].improvement in {"worse", "not evaluated"}
+        assert replay.verdicts["candidate"].verdict in {"worse", "not evaluated"}
         (fixes,) = (row for row in replay.tables.consistency if row.measurement == "position")
         assert (fixes.mean_nis or 0.0) > 10.0 * fixes.dof
-        trust = trust_sentence(replay.tables, "candidate", "baseline")
-        assert f", position {(fixes.mean_nis or 0.0) / fixes.dof:.3g}." in trust
-        assert "candidate: velocity " in trust
+        consistency_words = trust_sentence(replay.tables, "candidate", "baseline")
+        assert f", position {(fixes.mean_nis or 0.0) / fixes.dof:.3g}." in consistency_words
+        assert "candidate: velocity " in consistency_words
 
 
-def test_track_is_judged_by_fixes_and_depths_that_are_held_out(exact: Dive) -> None:
+def test_track_is_evaluated_by_fixes_and_depths_that_are_held_out(exact: Dive) -> None:
     """Without a reference they tell as much as it would but for their own noise."""
     config = changed(
         NOISY,
@@ -138,6 +138,6 @@ def test_real_dives_with_position_states_are_not_worse(snapir: Path) -> None:
     )
     rows = [replay_log(path, config).tables.evidence for path in sorted(snapir.glob("*.mcap"))]
     found = pooled_candidate("candidate", "baseline", rows, len(rows))
-    assert found.judgement in {"better", "equivalent", "undecided"}, pooled_sentence(found)
+    assert found.verdict in {"better", "equivalent", "undecided"}, pooled_sentence(found)
     (drift,) = (row for row in found.rows if row.quantity == "drift_30s")
     assert drift.ratio == pytest.approx(1.0, abs=1e-3)

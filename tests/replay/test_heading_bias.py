@@ -79,7 +79,7 @@ def test_the_heading_is_as_sure_as_its_filter_says_where_its_slow_error_is_estim
     assert np.mean(np.array(nis, dtype=np.float64)) == pytest.approx(1.0, abs=0.1)
 
 
-def test_small_innovations_that_repeat_are_not_called_over_cautious() -> None:
+def test_small_innovations_that_repeat_are_not_called_conservative() -> None:
     """Told 2 deg of white noise, the filter follows the error: its innovations are small, and so is nothing else."""
     replay = replayed(dive_with_slow_heading(0), SLOW_SD_DEG)
     (row,) = (row for row in replay.tables.consistency if (row.filter, row.measurement) == ("aided", "heading"))

@@ -13,7 +13,7 @@ from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, SensorColumns, SolutionColumns, TimeNs, seconds
 from insdvl_replay.core.dive_record import Channel
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.words import Judgement
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.logs.write import write_dive
 from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
@@ -106,7 +106,7 @@ def test_the_velocities_of_the_dvl_drift_in_an_outage_as_if_the_tool_had_used_th
 def test_the_velocities_of_the_dvl_are_equivalent(scenario: str, seed: int) -> None:
     replay = copied(600.0, scenario, seed, starts=16)
     assert_drifts_as_the_baseline(replay, lengths=3)
-    assert replay.verdicts["copy"].improvement == Judgement.EQUIVALENT
+    assert replay.verdicts["copy"].verdict == Verdict.EQUIVALENT
 
 
 # --- Readings in outages.
@@ -299,7 +299,7 @@ class Narrow(Copy):
         ("Narrow", r"outage.*Narrow .*\b1 .*\b3 "),
     ],
 )
-def test_what_goes_wrong_in_an_outage_is_told_as_such(dive: Dive, word: str, reason: str) -> None:
+def test_what_goes_wrong_in_an_outage_is_reported_as_such(dive: Dive, word: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=reason):
         dict(measured_in_outages(f"{HERE}:{word}", dive, Config()))
 
@@ -344,8 +344,8 @@ def test_in_an_outage_nothing_is_given_that_the_dvl_had_a_part_in(dive: Dive) ->
     given = given_dive(dive, Config(topics=topics), outages, end_ns)
     assert given.reference is not None
     solution = given.solutions["mine"]
-    assert solution.way_n is not None
-    assert len(solution.way_n) == len(solution.motion.time_ns)
+    assert solution.moved_n is not None
+    assert len(solution.moved_n) == len(solution.motion.time_ns)
     assert len(solution.cov) == len(solution.cov_ns)
     of_dvl = [given.dvl.time_ns, given.reference.time_ns, solution.motion.time_ns, solution.cov_ns]
     of_dvl += [given.topics[name].time_ns for name in ("dvl", "ping", "reference", "filters")]

@@ -10,7 +10,7 @@ import pytest
 from contaminated_dives import CANDIDATES, clean_dive, competitors, contaminated_dive, noisier_dive
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, seconds
-from insdvl_replay.core.words import Judgement
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.nav.kalman import CEILING, FLOOR, chance_var, found_factor, outlier_factor, significant_factor
 from insdvl_replay.replay import replay_dive
 
@@ -21,10 +21,10 @@ SHOCK_S = 500.0
 OUTAGES_S, OUTAGE_S = (100.0, 250.0, 400.0), 60.0
 
 
-def words(aiding: str, dives: Iterable[Dive]) -> list[Judgement | None]:
+def words(aiding: str, dives: Iterable[Dive]) -> list[Verdict | None]:
     """Words on both candidates in some dives."""
     replays = (replay_dive(dive, competitors(aiding, STARTS)) for dive in dives)
-    return [each.verdicts[name].improvement for each in replays for name in CANDIDATES]
+    return [each.verdicts[name].verdict for each in replays for name in CANDIDATES]
 
 
 @pytest.mark.parametrize("aiding", ["velocity", "beams"])
@@ -42,14 +42,14 @@ def test_where_pings_are_contaminated_velocities_err_less(aiding: str) -> None:
 def test_where_pings_are_contaminated_they_are_better(aiding: str) -> None:
     """In 79 of 80 dives, by `benchmarks/noise.py`."""
     found = words(aiding, (contaminated_dive(seed, LENGTH_S, 0.2) for seed in range(DIVES)))
-    assert found.count(Judgement.BETTER) >= ALL - 2
-    assert set(found) <= {Judgement.BETTER, Judgement.UNDECIDED}
+    assert found.count(Verdict.BETTER) >= ALL - 2
+    assert set(found) <= {Verdict.BETTER, Verdict.UNDECIDED}
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("aiding", ["velocity", "beams"])
 def test_on_clean_dives_they_are_equivalent(aiding: str) -> None:
-    assert words(aiding, (clean_dive(seed, LENGTH_S) for seed in range(DIVES))) == [Judgement.EQUIVALENT] * ALL
+    assert words(aiding, (clean_dive(seed, LENGTH_S) for seed in range(DIVES))) == [Verdict.EQUIVALENT] * ALL
 
 
 @pytest.mark.nightly
@@ -136,32 +136,32 @@ def dive_with_outages(seed: int) -> Dive:
 
 def followed(true_var: Floats, size: int) -> Iterator[tuple[float, float]]:
     """What is found and believed of the noise of innovations whose variance is so much larger than said."""
-    rng, R, found, believed, chance = np.random.default_rng(2), np.eye(size), 1.0, 1.0, 0.0
+    rng, R, found, predicted, chance = np.random.default_rng(2), np.eye(size), 1.0, 1.0, 0.0
     for var in true_var:
         z = rng.normal(scale=np.sqrt(var + PREDICTED_VAR), size=size)
-        S = believed * R + PREDICTED_VAR * np.eye(size)
-        found = found_factor(found, believed, z, S, believed * R, 1.0)
-        chance = chance_var(chance, believed, S, believed * R)
-        believed = significant_factor(found, chance)
-        yield found, believed
+        S = predicted * R + PREDICTED_VAR * np.eye(size)
+        found = found_factor(found, predicted, z, S, predicted * R, 1.0)
+        chance = chance_var(chance, predicted, S, predicted * R)
+        predicted = significant_factor(found, chance)
+        yield found, predicted
 
 
 def test_a_noise_that_doubles_is_followed_within_a_window_or_two() -> None:
-    found, believed = np.transpose(list(followed(np.repeat([1.0, 2.0], 300), 3)))
+    found, predicted = np.transpose(list(followed(np.repeat([1.0, 2.0], 300), 3)))
     assert np.mean(found[100:300]) == pytest.approx(1.0, abs=0.15)
     assert np.mean(found[360:]) == pytest.approx(2.0, abs=0.3)
-    assert np.mean(believed[360:]) == pytest.approx(2.0, abs=0.35)
+    assert np.mean(predicted[360:]) == pytest.approx(2.0, abs=0.35)
     assert found.min() > FLOOR
     assert found.max() < CEILING
 
 
 @pytest.mark.parametrize("size", [1, pytest.param(3, marks=pytest.mark.nightly)])
-def test_chance_is_not_believed(size: int) -> None:
-    found, believed = np.transpose(list(followed(np.ones(100_000), size)))
+def test_chance_is_not_predicted(size: int) -> None:
+    found, predicted = np.transpose(list(followed(np.ones(100_000), size)))
     var = 2.0 * (1.0 + PREDICTED_VAR) ** 2 / size / 59.0
     assert np.std(found) == pytest.approx(np.sqrt(var), rel=0.1)
-    assert np.mean(believed != 1.0) < 0.02
-    assert np.std(believed) < 0.1 * np.std(found)
+    assert np.mean(predicted != 1.0) < 0.02
+    assert np.std(predicted) < 0.1 * np.std(found)
 
 
 @pytest.mark.parametrize("size", [1, 3])

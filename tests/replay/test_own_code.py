@@ -37,7 +37,7 @@ def aided(word: str, **changes: Any) -> Config:
     return Config(noise=mems.noise, initial=mems.initial, filters=filters, evaluation=Evaluation(starts=1))
 
 
-def notes_of(prepared: Prepared, code: str = "own_measurement_jacobian") -> list[str]:
+def notes_of(prepared: Prepared, code: str = "user_measurement_jacobian") -> list[str]:
     return [note.text for note in prepared.notes if note.code == code]
 
 
@@ -129,7 +129,7 @@ def test_what_runs_as_it_is_goes_on_where_its_arithmetic_fails(dive: Dive) -> No
     assert row.verdict != "not finite"
 
 
-def test_what_runs_as_it_is_and_raises_on_the_way_is_told_with_its_line(dive: Dive) -> None:
+def test_what_runs_as_it_is_and_raises_on_the_way_is_reported_with_its_line(dive: Dive) -> None:
     with pytest.raises(ConfigError, match=r"Elsewhere: predict\(ins, z, H\) .*\d+ .*: IndexError"):
         replay_dive(dive, aided("Elsewhere"))
 
@@ -159,7 +159,7 @@ class HalfWritten(Deep):
         return UserReadings(found.time_ns, np.repeat(found.values, 2, axis=1), found.sd)
 
 
-def test_warnings_of_all_filters_that_a_class_aids_are_told(dive: Dive) -> None:
+def test_warnings_of_all_filters_that_a_class_aids_are_reported(dive: Dive) -> None:
     """Whichever of them stands last."""
     config = aided("Deeper")
     mine = config.filters["mine"]
@@ -170,7 +170,7 @@ def test_warnings_of_all_filters_that_a_class_aids_are_told(dive: Dive) -> None:
         assert re.match(rf"{HERE}:Deeper .*\bH .*filters\.mine\b", text)
 
 
-def test_a_component_that_is_not_predicted_is_told(dive: Dive) -> None:
+def test_a_component_that_is_not_predicted_is_reported(dive: Dive) -> None:
     prepared = prepare_dive(dive, aided("HalfWritten", states=("position",)))
     (text,) = notes_of(prepared)
     assert re.match(rf"{HERE}:HalfWritten .*z\[1\] .*H\[1\] .*filters\.mine\b", text)
@@ -219,7 +219,7 @@ def test_readings_may_be_made_of_a_solution_of_the_dive(dive: Dive) -> None:
         ({"sd": [0.1, 0.1]}, r"sd .*\(2,\) .*\(3, 1\), .*\(s,\) .*\(k, s\)"),
     ],
 )
-def test_readings_that_are_none_are_told(given: dict[str, Any], reason: str) -> None:
+def test_readings_that_are_none_are_reported(given: dict[str, Any], reason: str) -> None:
     readings = UserReadings(**({"time_ns": np.arange(3), "values": np.ones((3, 1)), "sd": np.array([0.1])} | given))
     with pytest.raises(ValueError, match=reason):
         checked_readings(readings)
@@ -268,6 +268,6 @@ class Withheld(Speed):
         ("Withheld", "name 'held_out_speed'"),
     ],
 )
-def test_names_that_cannot_be_are_told(word: str, named: str) -> None:
+def test_names_that_cannot_be_are_reported(word: str, named: str) -> None:
     with pytest.raises(ValueError, match=named):
         load_user_measurement(f"{HERE}:{word}")

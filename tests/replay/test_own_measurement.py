@@ -34,14 +34,14 @@ def replayed(word: str, duration_s: float = 200.0) -> Replay:
     return replay_dive(dive, config)
 
 
-def test_it_is_met_judged_and_shown() -> None:
+def test_it_is_met_evaluated_and_shown() -> None:
     replay = replayed("own_sensors:Speed")
     met = next(one for one in replay.histories[1].innovations if one.measurement == "speed")
     assert met.used.mean() > 0.99
     assert 0.7 < met.nis.mean() < 1.3
     row = next(row for row in replay.tables.consistency if row.measurement == "speed")
     assert row.used == int(met.used.sum())
-    assert not [note for note in replay.notes if note.code == "own_measurement_plain"]
+    assert not [note for note in replay.notes if note.code == "user_measurement_plain"]
 
 
 @pytest.mark.parametrize("name", ["PlainSpeed", "ImportingSpeed"])
@@ -49,14 +49,14 @@ def test_what_cannot_be_compiled_gives_the_same_and_says_so(name: str) -> None:
     compiled, plain = replayed("own_sensors:Speed", 20.0), replayed(f"own_sensors:{name}", 20.0)
     np.testing.assert_allclose(plain.histories[1].velocity_n, compiled.histories[1].velocity_n, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(plain.histories[1].sd, compiled.histories[1].sd, rtol=1e-9)
-    (note,) = [note for note in plain.notes if note.code == "own_measurement_plain"]
+    (note,) = [note for note in plain.notes if note.code == "user_measurement_plain"]
     assert name in note.text
 
 
 def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
     jitted, given = replayed("own_sensors:JittedSpeed", 20.0), replayed("own_sensors:Speed", 20.0)
     np.testing.assert_array_equal(jitted.histories[1].velocity_n, given.histories[1].velocity_n)
-    assert not [note for note in jitted.notes if note.code == "own_measurement_plain"]
+    assert not [note for note in jitted.notes if note.code == "user_measurement_plain"]
 
 
 @pytest.mark.parametrize(
@@ -76,26 +76,26 @@ def test_what_its_author_has_compiled_is_compiled_with_the_filter() -> None:
         ("own_sensors:Misspelt", r"predict\(ins, z, H\) .*\d+ .*own_sensors.py: NameError"),
     ],
 )
-def test_what_is_none_is_told_with_its_name(word: str, values: str) -> None:
+def test_what_is_none_is_reported_with_its_name(word: str, values: str) -> None:
     with pytest.raises(ConfigError, match=f"{word}.*{values}"):
         replayed(word, 20.0)
 
 
-def test_a_module_that_is_no_python_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_that_is_no_python_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "no_python.py").write_text("x = (\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=r"no_python:X .*SyntaxError: .*line 1"):
         replayed("no_python:X", 20.0)
 
 
-def test_a_module_that_leaves_as_it_is_imported_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_that_leaves_as_it_is_imported_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a_script.py").write_text("import sys\n\nsys.exit()\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ConfigError, match=r"a_script:X .*SystemExit"):
         replayed("a_script:X", 20.0)
 
 
-def test_one_that_ends_early_is_told_by_its_name() -> None:
+def test_one_that_ends_early_is_reported_by_its_name() -> None:
     notes = [note for note in replayed("own_sensors:Silent").notes if note.code == "paddle_wheel_silent"]
     assert [re.findall(r"\d+", note.text) for note in notes] == [["140", "200", "60"]]
 
@@ -106,7 +106,7 @@ DEEP, BOW, PLAIN_BOW = "own_sensors:Deep", "own_sensors:Bow", "own_sensors:Plain
 
 
 @pytest.fixture(scope="module")
-def gauged() -> Dive:
+def with_depth() -> Dive:
     """A dive whose depth and heading were measured, each at times of its own."""
     sensors = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(1.0, 1.0)}
     return simulate_dive("lawnmower", seed=4, duration_s=200.0, grade="mems", imu_rate_hz=50.0, sensors=sensors)
@@ -141,24 +141,24 @@ def assert_same(history: History, expected: History) -> None:
     ],
 )
 def test_two_give_what_the_sensors_give_that_the_tool_has(
-    gauged: Dive, words: tuple[str, ...], own: tuple[str, ...], end_s: float
+    with_depth: Dive, words: tuple[str, ...], own: tuple[str, ...], end_s: float
 ) -> None:
     """The tool's own depth estimates its zero; without this state it predicts what the class does."""
     config = aided(end_s, built_in=words, mine=own)
-    prepared = prepare_dive(gauged, config)
+    prepared = prepare_dive(with_depth, config)
     built_in, mine = prepared.filters
     built_in = replace(built_in, states=mine.states, more_sd=mine.more_sd, more_density=mine.more_density)
-    timeline = prepared_timeline(gauged, prepared)
+    timeline = prepared_timeline(with_depth, prepared)
     assert_same(run_one(mine, prepared, timeline), run_one(built_in, prepared, timeline))
 
 
-def test_a_column_that_a_filter_does_not_have_is_refused(gauged: Dive) -> None:
+def test_a_column_that_a_filter_does_not_have_is_refused(with_depth: Dive) -> None:
     """Compiled code would write it somewhere else."""
     config = aided(20.0, baseline=("velocity",), mine=("velocity", DEEP))
     mine = msgspec.structs.replace(config.filters["mine"], states=())
     config = msgspec.structs.replace(config, filters={**config.filters, "mine": mine})
     with pytest.raises(ConfigError, match=r"Deep: predict\(ins, z, H\) .*\d+ .*IndexError") as refusal:
-        prepare_dive(gauged, config)
+        prepare_dive(with_depth, config)
     assert re.search(r'filters\.mine .*12 .*\(1,\) .*\(1, 12\); states = \["position"\] .*12 .*14', refusal.value.hint)
 
 
@@ -174,31 +174,33 @@ def test_a_column_that_a_filter_does_not_have_is_refused(gauged: Dive) -> None:
         ("own_sensors:NoJacobian", "H .*"),
     ],
 )
-def test_a_jacobian_that_contradicts_its_prediction_is_told(gauged: Dive, word: str, values: str | None) -> None:
-    prepared = prepare_dive(gauged, aided(20.0, baseline=("velocity",), mine=("velocity", word)))
-    found = [note.text for note in prepared.notes if note.code == "own_measurement_jacobian"]
+def test_a_jacobian_that_contradicts_its_prediction_is_reported(
+    with_depth: Dive, word: str, values: str | None
+) -> None:
+    prepared = prepare_dive(with_depth, aided(20.0, baseline=("velocity",), mine=("velocity", word)))
+    found = [note.text for note in prepared.notes if note.code == "user_measurement_jacobian"]
     assert len(found) == (values is not None)
     assert all(word in text and "filters.mine" in text and re.search(values or "", text) for text in found)
 
 
 @pytest.mark.nightly
-def test_several_are_judged_each_by_its_name(gauged: Dive) -> None:
-    replay = replay_dive(gauged, aided(baseline=("velocity",), both=("velocity", DEEP, BOW), one=(BOW, "velocity")))
+def test_several_are_evaluated_each_by_its_name(with_depth: Dive) -> None:
+    replay = replay_dive(with_depth, aided(baseline=("velocity",), both=("velocity", DEEP, BOW), one=(BOW, "velocity")))
     for name, readings in (("deep", 800), ("bow", 200)):
         row = next(row for row in replay.tables.consistency if (row.filter, row.measurement) == ("both", name))
         assert (row.used, row.verdict, row.whiteness) == (readings, Consistency.CONSISTENT, Whiteness.WHITE)
     measured = {history.filter: [met.measurement for met in history.innovations] for history in replay.histories}
     assert measured == {"baseline": ["velocity"], "both": ["velocity", "deep", "bow"], "one": ["bow", "velocity"]}
-    assert not [note for note in replay.notes if note.code == "own_measurement_plain"]
+    assert not [note for note in replay.notes if note.code == "user_measurement_plain"]
 
 
 @pytest.mark.nightly
-def test_a_filter_beside_one_that_cannot_be_compiled_is(gauged: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_filter_next_to_one_that_cannot_be_compiled_is(with_depth: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
     ran_plain = []
     monkeypatch.setattr("insdvl_replay.nav.filter.plain", lambda run: ran_plain.append(run) or plain(run))
     config = aided(40.0, slow=("velocity", PLAIN_BOW, DEEP), fast=("velocity", BOW, DEEP))
-    prepared = prepare_dive(gauged, config)
-    timeline = prepared_timeline(gauged, prepared)
+    prepared = prepare_dive(with_depth, config)
+    timeline = prepared_timeline(with_depth, prepared)
     slow, fast = (run_one(filter_, prepared, timeline) for filter_ in prepared.filters)
     assert len(ran_plain) == 1
     assert_same(slow, fast)
@@ -212,14 +214,14 @@ def test_a_filter_beside_one_that_cannot_be_compiled_is(gauged: Dive, monkeypatc
         ((DEEP, "own_sensors:BuiltIn"), "BuiltIn .*'depth'"),
     ],
 )
-def test_names_of_rows_that_are_taken_are_refused(gauged: Dive, aiding: tuple[str, ...], names: str) -> None:
+def test_names_of_rows_that_are_taken_are_refused(with_depth: Dive, aiding: tuple[str, ...], names: str) -> None:
     config = aided(20.0, baseline=("velocity",), mine=("velocity", *aiding), other=("velocity", aiding[0]))
     with pytest.raises(ConfigError, match=names):
-        replay_dive(gauged, config)
+        replay_dive(with_depth, config)
 
 
-def test_components_have_rows_and_no_vote(gauged: Dive) -> None:
-    replay = replay_dive(gauged, aided(20.0, baseline=("velocity",), mine=("velocity", "own_sensors:DeepTwice")))
+def test_components_have_rows_and_no_vote(with_depth: Dive) -> None:
+    replay = replay_dive(with_depth, aided(20.0, baseline=("velocity",), mine=("velocity", "own_sensors:DeepTwice")))
     rows = [row.measurement for row in replay.tables.consistency if row.filter == "mine"]
     of_mine = [row for row in rows if row.startswith("deep_twice")]
     assert of_mine == ["deep_twice", "deep_twice_c1", "deep_twice_c2"]
@@ -227,13 +229,13 @@ def test_components_have_rows_and_no_vote(gauged: Dive) -> None:
 
 
 @pytest.mark.nightly
-def test_two_of_one_name_stand_in_two_filters(gauged: Dive) -> None:
+def test_two_of_one_name_are_in_two_filters(with_depth: Dive) -> None:
     words = {"baseline": ("velocity",), "mine": ("own_sensors:Speed",), "other": ("own_sensors:OtherSpeed",)}
-    replay = replay_dive(gauged, aided(20.0, **words))
+    replay = replay_dive(with_depth, aided(20.0, **words))
     assert_same(replay.histories[1], replay.histories[2])
 
 
-def test_a_word_that_stands_twice_or_is_not_known_is_told_with_its_place() -> None:
+def test_a_word_that_is_twice_or_is_not_known_is_reported_with_its_place() -> None:
     own = '"own_sensors:Speed"'
     with pytest.raises(ConfigError, match=r"filters\.mine\.aiding\[1\] 'own_sensors:Speed'"):
         load_config(overrides=[f"filters.mine.aiding=[{own},{own}]"])
@@ -309,7 +311,7 @@ def test_a_topic_of_the_log_aids_by_a_class_of_ones_own(tmp_path: Path) -> None:
         (Topic(topic="/usbl/range", values="rnge"), "rnge"),
     ],
 )
-def test_a_topic_that_is_named_wrong_is_told(tmp_path: Path, topic: Topic, reason: str) -> None:
+def test_a_topic_that_is_named_wrong_is_reported(tmp_path: Path, topic: Topic, reason: str) -> None:
     with pytest.raises(LogError, match=reason):
         replay_log(dive_with_a_beacon(tmp_path), ranged(topics={"beacon": topic}))
 

@@ -18,13 +18,13 @@ BY_FIXES = (
 """The Snapir judged by its positions alone, so that attitude and velocity of the same solution can be a filter's."""
 
 
-def test_the_solution_of_the_snapir_is_refused_beside_itself(snapir: Path) -> None:
+def test_the_solution_of_the_snapir_is_refused_next_to_itself(snapir: Path) -> None:
     config = load_config(file=EXAMPLES / "snapir.toml", overrides=["filters.onboard.solution=/ins/odometry"])
     with pytest.raises(LogError, match=r"'/ins/odometry'"):
         replay_log(snapir / "snapir_01.mcap", config)
 
 
-def test_the_solution_of_the_snapir_lies_on_its_own_positions(snapir: Path) -> None:
+def test_the_solution_of_the_snapir_is_on_its_own_positions(snapir: Path) -> None:
     """Fixes and odometry are of one solution: what drifts apart are the digits of the fixes, and nothing is judged."""
     onboard = [
         "filters.onboard.solution=/ins/odometry",
@@ -38,7 +38,7 @@ def test_the_solution_of_the_snapir_lies_on_its_own_positions(snapir: Path) -> N
     assert abs(found["onboard"].fitted or 0.0) < 1.0
     assert [(row.filter, row.jumps) for row in replay.tables.jumps] == [("onboard", 0)]
     assert "solution_onboard_is_reference" in {note.code for note in replay.notes}
-    assert replay.verdicts["onboard"].improvement == "not evaluated"
+    assert replay.verdicts["onboard"].verdict == "not evaluated"
 
 
 def test_the_estimate_of_the_blueye_knows_the_satellites(blueye: Path) -> None:
@@ -53,4 +53,4 @@ def test_the_estimate_of_the_blueye_knows_the_satellites(blueye: Path) -> None:
     assert 0.2 < onboard.rmse < 1.0 < (onboard.baseline_rmse or 0.0)
     assert (onboard.status, error["onboard", "heading"].status) == ("compared", "not in reference")
     assert "solution_onboard_is_reference" in {note.code for note in replay.notes}
-    assert replay.verdicts["onboard"].improvement == "not evaluated"
+    assert replay.verdicts["onboard"].verdict == "not evaluated"

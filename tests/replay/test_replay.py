@@ -233,7 +233,7 @@ def test_filter_does_not_depend_on_its_company(straight: Dive) -> None:
     np.testing.assert_array_equal(alone.velocity_n, beside.velocity_n)
 
 
-def test_filter_with_its_own_noise_believes_otherwise(straight: Dive) -> None:
+def test_filter_with_its_own_noise_predicts_otherwise(straight: Dive) -> None:
     noisy = Filter(aiding=("velocity",), accel_white_mps_rts=0.2, velocity_sd_mps=0.05)
     improvement = frame(replay_dive(straight, config({"baseline": VELOCITY, "noisy": noisy})).tables.improvement)
     states = improvement.set_index("state")
@@ -333,7 +333,7 @@ def test_reference_that_begins_after_the_last_ping_is_refused(straight: Dive) ->
     assert "reference.stamp" in caught.value.hint
 
 
-def test_dive_without_reference_needs_to_be_told_how_to_start(straight: Dive) -> None:
+def test_dive_without_reference_needs_to_be_reported_how_to_start(straight: Dive) -> None:
     alone = replace(straight, reference=None)
     with pytest.raises(LogError, match="no reference") as caught:
         replay_dive(alone, config())
@@ -386,7 +386,7 @@ def test_reference_without_a_quantity_still_serves(
 # --- Dives from the sea.
 
 
-def test_outage_of_a_minute_is_bridged_and_believed_to_be_worse() -> None:
+def test_outage_of_a_minute_is_bridged_and_predicted_to_be_worse() -> None:
     dive = simulate_dive("straight", duration_s=150.0, imu_rate_hz=50.0, seed=3, outages=[(60.0, 120.0)])
     replay = replay_dive(dive, config())
     assert note(replay, "dvl_no_velocity").count == 60
@@ -471,7 +471,7 @@ def test_notes_of_the_log_stay_with_the_result(straight: Dive) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [1.0, 20.0])
-def test_what_a_filter_believes_does_not_depend_on_the_references_rate(rate_hz: float) -> None:
+def test_what_a_filter_predicts_does_not_depend_on_the_references_rate(rate_hz: float) -> None:
     tables = [
         frames(
             replay_dive(
@@ -482,11 +482,11 @@ def test_what_a_filter_believes_does_not_depend_on_the_references_rate(rate_hz: 
     ]
     for name in ("improvement", "convergence"):
         # A node at each reference time divides the intervals otherwise, which moves the fifth digit.
-        believed = [column for column in tables[0][name] if not column.startswith("measured")]
-        pd.testing.assert_frame_equal(tables[0][name][believed], tables[1][name][believed], rtol=1e-4, atol=1e-3)
+        predicted = [column for column in tables[0][name] if not column.startswith("measured")]
+        pd.testing.assert_frame_equal(tables[0][name][predicted], tables[1][name][predicted], rtol=1e-4, atol=1e-3)
 
 
-def test_believed_end_is_the_last_ping_wherever_the_log_ends() -> None:
+def test_predicted_end_is_the_last_ping_wherever_the_log_ends() -> None:
     dive = exact_dive("straight", duration_s=30.9, imu_rate_hz=50.0)
     tables = [frame(replay_dive(dive, config(span=Span(end_s=end_s))).tables.improvement) for end_s in (30.4, 30.9)]
     pd.testing.assert_frame_equal(tables[0], tables[1], rtol=1e-6)
@@ -499,7 +499,7 @@ def test_aiding_that_never_happens_is_a_warning() -> None:
     assert "max_window_gap_s" in note(replay, "aiding_without_updates").hint
 
 
-def test_breakdown_of_a_filter_is_told_as_such_and_not_as_rejection(straight: Dive) -> None:
+def test_breakdown_of_a_filter_is_reported_as_such_and_not_as_rejection(straight: Dive) -> None:
     replay = replay_dive(straight, config(initial=Initial(accel_bias_sd_mg=1e155)))
     assert {found.code for found in replay.notes if found.severity == "warning"} == {"filter_not_finite"}
     assert (frame(replay.tables.consistency)["rejected"] == 0).all()
@@ -520,7 +520,7 @@ def test_reference_that_is_too_slow_for_the_turns_is_said_to_be(rate_hz: float, 
         assert "1.4 Hz" in notes[0].hint
 
 
-def test_errors_of_a_long_dive_are_judged_at_fewer_times_by_the_same_p(
+def test_errors_of_a_long_dive_are_evaluated_at_fewer_times_by_the_same_p(
     straight: Dive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = replay_dive(straight, config(), keep_cov=True)
@@ -566,7 +566,7 @@ def test_position_after_a_long_gap_of_the_imu_is_not_taken_for_a_result(straight
     assert statuses[statuses == "lost in gap"].index.tolist() == ["position_h", "depth", "position_h_pct"]
     assert set(statuses) == {"compared", "lost in gap"}
     assert errors_of(replay).loc["aided", "rmse"].notna().all(), "the numbers stand"
-    assert "(position" not in replay.verdicts["aided"].verdict
+    assert "(position" not in replay.verdicts["aided"].sentence
     patient = replay_dive(silent, config(imu=Imu(max_gap_s=2.0)))
     assert set(errors_of(patient).loc["aided", "status"]) == {"compared"}
 

@@ -68,7 +68,9 @@ def test_axes_that_beams_see_unlike_are_no_reason() -> None:
 
 @pytest.mark.parametrize("arm_m", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
 @pytest.mark.parametrize("scenario", [pytest.param("lawnmower", marks=pytest.mark.nightly), "figure-eight"])
-def test_an_arm_that_nobody_told_of_is_seen_along_the_axes(scenario: str, arm_m: tuple[float, float, float]) -> None:
+def test_an_arm_that_nobody_reported_of_is_seen_along_the_axes(
+    scenario: str, arm_m: tuple[float, float, float]
+) -> None:
     found = hints(dived(scenario, lever_arm_m=arm_m), told_the_truth("fog"))["innovations_apart"]
     assert found.severity == "info"
     assert "insdvl-replay calibrate" in found.hint
@@ -114,7 +116,7 @@ def test_noise_that_is_off_by_less_says_nothing() -> None:
         assert "noise_far_off" not in hints(dived("lawnmower"), config)
 
 
-def test_a_control_that_stands_there_already_is_not_pointed_at(tmp_path: Path) -> None:
+def test_a_control_that_is_there_already_is_not_pointed_at(tmp_path: Path) -> None:
     log, config = tmp_path / "log.mcap", told_the_truth("fog", "dvl.beam_sd_mps=0.03", "span.end_s=60")
     write_dive(log, dived("lawnmower"))
     assert "noise_far_off" in {note.code for note in replay_log(log, config).notes}

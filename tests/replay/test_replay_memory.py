@@ -75,9 +75,12 @@ def with_odometry(folder: Path, duration_s: float = LONG_S) -> tuple[list[Path],
     dive = dive_of(duration_s)
     write_dive(folder / "dive.mcap", dive)
     time_ns = dive.imu.time_ns
-    count, way_n = len(time_ns), (time_ns - time_ns[0])[:, None] * np.array([1e-9, 2e-9, 0.0])
+    count, moved_n = len(time_ns), (time_ns - time_ns[0])[:, None] * np.array([1e-9, 2e-9, 0.0])
     told = Told(
-        time_ns, way_n, np.tile([1.0, 2.0, 0.0], (count, 1)), Rotation.from_euler("z", 1e-5 * np.arange(count)[:, None])
+        time_ns,
+        moved_n,
+        np.tile([1.0, 2.0, 0.0], (count, 1)),
+        Rotation.from_euler("z", 1e-5 * np.arange(count)[:, None]),
     )
     growing = np.linspace(1.0, 2.0, count)[:, None, None] * (np.eye(6) + 0.1)
     covariances = {"pose.covariance": growing, "twist.covariance": 0.01 * growing}
@@ -109,7 +112,7 @@ def test_a_solution_takes_little_memory_beyond_its_columns(tmp_path: Path, monke
     paths, count = with_odometry(tmp_path)
     beside = settings(onboard=Filter(solution="/odometry"))
     solution = read_dive(paths, beside).solutions["onboard"]
-    told = (solution.motion.time_ns, solution.way_n, solution.motion.velocity_n, solution.motion.mat_nb)
+    told = (solution.motion.time_ns, solution.moved_n, solution.motion.velocity_n, solution.motion.mat_nb)
     assert len(solution.motion.time_ns) == count
     assert sum(column.nbytes for column in told if column is not None) == 128 * count
     assert solution.motion.position.strides[0] == 0  # none is told
@@ -125,7 +128,7 @@ def test_a_solution_is_let_go_before_the_tables_are_made(tmp_path: Path, monkeyp
     def watched(*arguments: Any, **options: Any) -> Dive:
         dive = read_checked_dive(*arguments, **options)
         (solution,) = dive.solutions.values()
-        columns.extend(weakref.ref(column) for column in (solution.way_n, solution.cov, solution.motion.mat_nb))
+        columns.extend(weakref.ref(column) for column in (solution.moved_n, solution.cov, solution.motion.mat_nb))
         return dive
 
     def tables_of(*arguments: Any, **options: Any) -> Any:

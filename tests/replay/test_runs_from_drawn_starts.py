@@ -48,7 +48,7 @@ def prepared_world(exact: Dive, config: Config, seed: int) -> tuple[Dive, Prepar
     return dive, prepare_dive(dive, config)
 
 
-def test_errors_from_drawn_starts_are_as_large_as_the_filter_believes(exact: Dive) -> None:
+def test_errors_from_drawn_starts_are_as_large_as_the_filter_predicts(exact: Dive) -> None:
     """A world a draw, since what sensors add is the same for all starts of one dive."""
     config = config_with()
     worlds = [run_from_drawn_starts(*prepared_world(exact, config, seed), 2, seed)[0] for seed in range(WORLDS)]
@@ -132,7 +132,7 @@ def test_starts_leave_less_and_less_behind(exact: Dive) -> None:
     assert left[5] > 0.6
 
 
-def test_filters_that_go_astray_are_told_without_a_warning(exact: Dive) -> None:
+def test_filters_that_go_astray_are_reported_without_a_warning(exact: Dive) -> None:
     """The accelerometer in thousandths of its unit, and what is more: no number is left."""
     for factor in (1e3, 1e160):
         imu = replace(exact.imu, specific_force_b=exact.imu.specific_force_b * factor)

@@ -54,7 +54,7 @@ def used(history: History, measurement: str) -> int:
     return next(int(one.used.sum()) for one in history.innovations if one.measurement == measurement)
 
 
-def test_a_log_with_a_pressure_gauge_is_read_as_it_was_simulated(tmp_path: Path) -> None:
+def test_a_log_with_a_pressure_depth_sensor_is_read_as_it_was_simulated(tmp_path: Path) -> None:
     dive = simulated(duration_s=30.0, depth=SensorErrors(0.05, 4.0))
     write_dive(tmp_path / "dive.mcap", dive)
     read = read_dive(tmp_path / "dive.mcap", config("depth"))
@@ -72,7 +72,7 @@ def test_depth_holds_the_height() -> None:
     assert [note.code for note in replay.notes if note.code.startswith("depth")] == ["depth_zero"]
 
 
-def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
+def test_a_sensor_that_is_held_out_is_met_and_not_used() -> None:
     settings = config("depth", evaluation=Evaluation(held_out=("depth",)))
     replay = replay_dive(simulated(depth=SensorErrors(0.05, 4.0)), settings)
     for history in replay.histories:
@@ -103,7 +103,7 @@ def test_a_sensor_that_is_withheld_is_met_and_not_used() -> None:
     ],
     ids=["whole", "ends", "begins late", "slow", "once"],
 )
-def test_a_sensor_that_falls_silent_is_told(kept: slice, told: str | None) -> None:
+def test_a_sensor_that_falls_silent_is_reported(kept: slice, told: str | None) -> None:
     dive = simulated(duration_s=110.0, depth=SensorErrors(0.05, 4.0))
     notes = replay_dive(replace(dive, sensors={"depth": dive.sensors["depth"].rows(kept)}), config("depth")).notes
     found = [(re.findall(r"\d+", note.text), note.severity) for note in notes if note.code == "depth_silent"]
@@ -125,7 +125,7 @@ def test_a_log_without_the_sensor_says_so(tmp_path: Path) -> None:
     ],
     ids=["both", "either"],
 )
-def test_a_topic_of_another_type_is_told_with_the_fields_that_it_takes(
+def test_a_topic_of_another_type_is_reported_with_the_fields_that_it_takes(
     tmp_path: Path, settings: Heading | Position, fields: str
 ) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, depth=SensorErrors(1.0, 1.0)))
@@ -135,14 +135,14 @@ def test_a_topic_of_another_type_is_told_with_the_fields_that_it_takes(
     assert re.search(f'{name}.topic = "/topic" .*{fields};', refusal.value.hint)
 
 
-def test_a_latitude_in_another_unit_is_told_by_its_number(tmp_path: Path) -> None:
+def test_a_latitude_in_another_unit_is_reported_by_its_number(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulated(duration_s=30.0, position=SensorErrors(1.0)))
     with pytest.raises(LogError, match=r"31 of 31 latitudes .*32\.8\d* rad") as refusal:
         read_dive(tmp_path / "dive.mcap", config("position", position=Position(angle_unit="rad")))
     assert refusal.value.hint.startswith('position.angle_unit = "deg"')
 
 
-def test_wrong_latitudes_of_both_signs_are_told_by_the_furthest(tmp_path: Path) -> None:
+def test_wrong_latitudes_of_both_signs_are_reported_by_the_furthest(tmp_path: Path) -> None:
     """Their median is a latitude that many places have."""
     dive = simulated(duration_s=30.0, position=SensorErrors(1.0))
     fixes = dive.sensors["position"]
@@ -258,7 +258,7 @@ def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
     settings = config("position", position=Position(sd_m=1.0), noise=MEMS.noise, initial=MEMS.initial)
     here, there_too = (replay_dive(one, settings).tables for one in (dive, there))
     for ours, theirs in zip(here.evidence, there_too.evidence, strict=True):
-        assert (ours.quantity, ours.word) == (theirs.quantity, theirs.word)
+        assert (ours.quantity, ours.verdict) == (theirs.quantity, theirs.verdict)
         assert theirs.value == pytest.approx(ours.value, rel=1e-3, nan_ok=True)
 
 
@@ -274,7 +274,7 @@ def started_off(dive: Dive, seed: int) -> Dive:
 
 
 def position_nees(
-    seed: int, gauge: Depth, *, late_s: float = 0.0, height_sd_m: float | None = None, **sensors: SensorErrors
+    seed: int, depth_sensor: Depth, *, late_s: float = 0.0, height_sd_m: float | None = None, **sensors: SensorErrors
 ) -> Floats:
     """NEES of the position over a dive of which the filter is told the truth, shape (k,); sensors may begin late."""
     dive = simulate_dive(
@@ -284,7 +284,7 @@ def position_nees(
         noise=MATCHED.noise,
         initial=Initial(accel_bias_sd_mg=1.02, gyro_bias_sd_degph=0.1, position_sd_m=POSITION_SD_M),
         dvl=MATCHED.dvl,
-        depth=gauge,
+        depth=depth_sensor,
         position=Position(sd_m=1.0, height_sd_m=height_sd_m),
         filters={"aided": Filter(aiding=("velocity", *sensors), states=("position",))},
     )
@@ -314,9 +314,9 @@ def test_position_is_as_far_off_as_the_filter_says(
 ) -> None:
     """The mean NEES of 3 over independent runs; each run is one sample, since a position error stays."""
     sensors = {"depth": SensorErrors(0.05, 1.0)} | ({"position": SensorErrors(1.0, 1.0)} if height_sd_m else {})
-    gauge = Depth(sd_m=0.05, surface_height_m=surface_m)
+    depth_sensor = Depth(sd_m=0.05, surface_height_m=surface_m)
     runs = np.array([
-        position_nees(seed, gauge, late_s=late_s, height_sd_m=height_sd_m, **sensors).mean()
+        position_nees(seed, depth_sensor, late_s=late_s, height_sd_m=height_sd_m, **sensors).mean()
         for seed in range(24)
     ])  # fmt: skip
     assert 3.0 - 2.5 * runs.std() / np.sqrt(24) < runs.mean() < 3.0 + 2.5 * runs.std() / np.sqrt(24)
@@ -409,7 +409,7 @@ def test_without_fixes_a_straight_line_leaves_the_scale_alone(grade: str) -> Non
 @pytest.mark.parametrize(
     ("seconds_late", "off_m", "told"), [(0.0, 0.0, True), (0.05, 0.0, True), (0.0, 0.05, False), (0.05, 0.05, False)]
 )
-def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
+def test_a_filter_that_is_reported_the_reference_is_not_evaluated_by_it(
     tmp_path: Path, seconds_late: float, off_m: float, told: bool
 ) -> None:
     """Stamped late it is the reference all the same; 5 cm away it is another receiver, that is good."""
@@ -421,9 +421,9 @@ def test_a_filter_that_is_told_the_reference_is_not_judged_by_it(
     replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5)))
     notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]
     assert notes == ["position_is_reference"] * told
-    assert (replay.verdicts["candidate"].improvement == "not evaluated") == told
+    assert (replay.verdicts["candidate"].verdict == "not evaluated") == told
     held_out = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(held_out=("position",)))
-    assert replay_log(tmp_path / "dive.mcap", held_out).verdicts["candidate"].improvement != "not evaluated"
+    assert replay_log(tmp_path / "dive.mcap", held_out).verdicts["candidate"].verdict != "not evaluated"
 
 
 FOOT_M = 0.3048
@@ -453,7 +453,9 @@ def _held(fixes: Floats) -> Floats:
     ids=["feet", "upwards", "rad for deg", "from east over north", "declination", "longitude first",
          "another continent", "fixes that stand still", "depth", "heading", "position"],
 )  # fmt: skip
-def test_a_sensor_that_is_misread_is_told(sensor: str, misread: Callable[[Floats], Floats], told: list[str]) -> None:
+def test_a_sensor_that_is_misread_is_reported(
+    sensor: str, misread: Callable[[Floats], Floats], told: list[str]
+) -> None:
     """Else the tables would have the filter err that trusts it."""
     noise = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(0.5, 2.0), "position": SensorErrors(1.0, 1.0)}
     dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
@@ -488,7 +490,7 @@ def test_a_sensor_is_held_against_the_reference_in_the_span_alone(end_s: float, 
     ],
     ids=["feet", "upwards", "salt water", "rad for deg", "from east over north", "declination"],
 )
-def test_a_withheld_sensor_that_is_misread_is_told_without_a_reference(
+def test_a_held_out_sensor_that_is_misread_is_reported_without_a_reference(
     sensor: str, misread: Callable[[Floats], Floats], told: list[str]
 ) -> None:
     """Else both filters would be as far off it, and *equivalent*."""
@@ -590,4 +592,4 @@ def test_a_sensor_s_heading_is_read_though_no_filter_is_aided_by_it(tmp_path: Pa
     replay = replay_log(tmp_path / "dive.mcap", config(initial=level, noise=MEMS.noise))
     assert "start_heading_sensor" in {note.code for note in replay.notes}
     facts = inspect_log(tmp_path / "dive.mcap", config(initial=level, noise=MEMS.noise))
-    assert not facts.obstacles
+    assert not facts.blockers

@@ -65,7 +65,7 @@ def test_published_acceleration_makes_turning_dives_worse(replays: dict[str, Rep
     assert published_m[~turning][0] == pytest.approx(baseline_m[~turning][0], rel=0.2)
 
 
-def test_believed_improvement_is_the_same_for_both_models(replays: dict[str, Replay]) -> None:
+def test_predicted_improvement_is_the_same_for_both_models(replays: dict[str, Replay]) -> None:
     """What the covariance says cannot tell the model that helps from the one that harms."""
     for replay in replays.values():
         rows = frame(replay.tables.improvement).set_index(["filter", "state"])["improvement_pct"]
@@ -90,21 +90,23 @@ def test_every_ping_and_reference_time_is_used_or_counted(replays: dict[str, Rep
         assert (rows["status"] == "compared").all()
 
 
-def test_the_published_model_is_worse_where_dives_turn_and_belief_is_not_borne_out(replays: dict[str, Replay]) -> None:
+def test_the_published_model_is_worse_where_dives_turn_and_prediction_is_not_confirmed(
+    replays: dict[str, Replay],
+) -> None:
     words = {
-        name: Counter(str(replay.verdicts[name].improvement) for replay in replays.values())
+        name: Counter(str(replay.verdicts[name].verdict) for replay in replays.values())
         for name in ("windowed", "published")
     }
-    beliefs = {
-        name: Counter(str(replay.verdicts[name].belief) for replay in replays.values())
+    predictions = {
+        name: Counter(str(replay.verdicts[name].prediction) for replay in replays.values())
         for name in ("windowed", "published")
     }
     assert not words["windowed"]["worse"]
     assert words["published"]["worse"] >= 6
     assert not words["published"]["better"]
     for name in ("windowed", "published"):
-        assert beliefs[name]["not confirmed"] >= 6
-        assert not beliefs[name]["confirmed"]
+        assert predictions[name]["not confirmed"] >= 6
+        assert not predictions[name]["confirmed"]
     for run, replay in replays.items():
         if run != STRAIGHT:
             assert 35.0 < finite(replay.verdicts["windowed"].mean_improvement_pct) < 42.0
@@ -119,16 +121,16 @@ def test_together_the_dives_tell_the_models_apart(replays: dict[str, Replay]) ->
         for name in ("windowed", "published")
         for every in [[replay.tables.evidence for replay in replays.values()]]
     }
-    judged = {name: str(candidate.judgement) for name, candidate in pooled.items()}
+    judged = {name: str(candidate.verdict) for name, candidate in pooled.items()}
     assert judged == {"windowed": "better", "published": "worse"}
     rows = {(name, row.quantity): row for name, candidate in pooled.items() for row in candidate.rows}
     for quantity in ("outage_30s", "outage_60s", "outage_120s"):
         published = rows["published", quantity]
-        assert (published.word, published.dives_won) == ("worse", 0)
+        assert (published.verdict, published.dives_won) == ("worse", 0)
         assert finite(published.low) > 10.0
         assert 0.8 < finite(rows["windowed", quantity].ratio) < 1.1
     windowed = rows["windowed", "level"]
-    assert (windowed.word, windowed.dives_won) == ("better", 8)
+    assert (windowed.verdict, windowed.dives_won) == ("better", 8)
     assert rows["windowed", "velocity_along"].dives_won == 8
 
 

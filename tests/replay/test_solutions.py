@@ -65,7 +65,7 @@ def slow_errors(told: Told) -> tuple[Told, Floats]:
     """Errors of which tables can be foretold: a drift of 1 cm/s north and 2 cm/s west, and of 1 deg in heading."""
     since_s = seconds(told.time_ns, told.time_ns[0])[:, None]
     velocity_n = np.array([0.03, -0.04, 0.02])
-    wrong = off(told, way_n=since_s * [0.01, -0.02, 0.005], velocity_n=velocity_n, turn_n=np.array([0.0, 0.0, DEG]))
+    wrong = off(told, moved_n=since_s * [0.01, -0.02, 0.005], velocity_n=velocity_n, turn_n=np.array([0.0, 0.0, DEG]))
     return wrong, velocity_n
 
 
@@ -85,7 +85,7 @@ def test_errors_drift_and_jumps_are_those_that_were_put_in(dive: Dive, tmp_path:
     assert drift["velocity_along"].worst <= np.hypot(0.03, 0.04) + 1e-9
     assert [(row.jumps, row.filter) for row in replay.tables.jumps] == [(0, "onboard")]
     assert {row.status for row in error.values()} == {"compared"}
-    assert codes(replay) == ["solution_laid", "solution_without_covariance"]
+    assert codes(replay) == ["solution_aligned", "solution_without_covariance"]
 
 
 def test_what_it_does_not_say_has_no_rows_and_is_noted(dive: Dive, tmp_path: Path) -> None:
@@ -95,13 +95,13 @@ def test_what_it_does_not_say_has_no_rows_and_is_noted(dive: Dive, tmp_path: Pat
     for table in ("improvement", "convergence", "consistency", "credibility", "outage"):
         assert rows(replay, table) == {}
     candidate = replay.verdicts["onboard"]
-    assert (candidate.consistency, candidate.credibility, candidate.belief) == (
+    assert (candidate.consistency, candidate.credibility, candidate.prediction) == (
         "not available",
         "not available",
         "undecided",
     )
     assert np.isnan([candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct]).all()
-    assert "%" not in candidate.verdict.rpartition("onboard")[2]
+    assert "%" not in candidate.sentence.rpartition("onboard")[2]
 
 
 @pytest.mark.parametrize("axes", ["enu_flu", "ned_frd"])
@@ -132,14 +132,14 @@ def correlated(told: Told, seed: int, factor: float = 1.0) -> tuple[Told, dict[s
     rng, count = np.random.default_rng(seed), len(told.time_ns)
     pose, twist = rng.normal(size=(count, 6)) * POSE_SD * factor, rng.normal(size=(count, 3)) * TWIST_SD * factor
     pose[0, :3] = 0.0  # where it is laid
-    way_n, turn_n = (part[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for part in (pose[:, :3], pose[:, 3:]))
+    moved_n, turn_n = (part[:, [1, 0, 2]] * [1.0, 1.0, -1.0] for part in (pose[:, :3], pose[:, 3:]))
     turned = Rotation.from_rotvec(turn_n) * told.attitude
     velocity_b = told.attitude.inv().apply(told.velocity_n) + twist * [1.0, -1.0, -1.0]
     covs = {
         "pose.covariance": np.tile(np.diag(POSE_SD**2), (count, 1, 1)),
         "twist.covariance": np.tile(np.diag(np.append(TWIST_SD, [1.0, 1.0, 1.0]) ** 2), (count, 1, 1)),
     }
-    return Told(told.time_ns, told.way_n + way_n, turned.apply(velocity_b), turned), covs
+    return Told(told.time_ns, told.moved_n + moved_n, turned.apply(velocity_b), turned), covs
 
 
 @pytest.mark.parametrize("factor", [1.0, 3.0, 0.2])
@@ -154,7 +154,7 @@ def test_nees_is_by_its_own_covariance(dive: Dive, tmp_path: Path, factor: float
     word = {1.0: "consistent", 3.0: "overconfident", 0.2: "conservative"}[factor]
     assert {found[group].verdict for group in ("velocity", "attitude", "position", "all")} == {word}
     assert replay.verdicts["onboard"].credibility == word
-    assert f"onboard is {word} " in replay.verdicts["onboard"].verdict
+    assert f"onboard is {word} " in replay.verdicts["onboard"].sentence
     assert len(rows(replay, "improvement")) == len(rows(replay, "convergence")) == 6  # no bias
 
 
@@ -186,7 +186,7 @@ def word_on_groups(dive: Dive, settings: Config, first: Replay) -> str:
 def test_a_jump_is_counted_with_its_size_and_time(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
     since_s = seconds(told.time_ns, told.time_ns[0])
-    jumped = off(told, way_n=np.where(since_s[:, None] >= 80.0, [1.2, 1.6, 0.0], 0.0))
+    jumped = off(told, moved_n=np.where(since_s[:, None] >= 80.0, [1.2, 1.6, 0.0], 0.0))
     parts = write_odometry(tmp_path / "own.mcap", jumped)
     write_tum(tmp_path / "own.tum", jumped)
     replay = replayed(tmp_path, dive, config("/odometry", Solution(file=str(tmp_path / "own.tum"))), parts)
@@ -196,12 +196,12 @@ def test_a_jump_is_counted_with_its_size_and_time(dive: Dive, tmp_path: Path) ->
     assert [row.filter for row in replay.tables.jumps] == ["onboard", "onboard1"]
 
 
-def test_where_it_is_silent_nobody_is_judged(dive: Dive, tmp_path: Path) -> None:
+def test_where_it_is_silent_nobody_is_evaluated(dive: Dive, tmp_path: Path) -> None:
     """From 40 to 120 s, with a hole: the baseline's numbers beside it are of the same instants."""
     told = truth_of(dive)
     since_s = seconds(told.time_ns, told.time_ns[0])
     keep = (since_s > 39.9) & (since_s < 120.1) & ~((since_s > 60.1) & (since_s < 79.9))
-    part = Told(told.time_ns[keep], told.way_n[keep], told.velocity_n[keep], told.attitude[keep])
+    part = Told(told.time_ns[keep], told.moved_n[keep], told.velocity_n[keep], told.attitude[keep])
     replay = replayed(tmp_path, dive, config("/odometry", starts=8), write_odometry(tmp_path / "own.mcap", part))
     own, baseline = replay.errors["onboard"], replay.errors["baseline"]
     silent = ~np.isfinite(own.velocity_error_n[:, 0])
@@ -211,21 +211,21 @@ def test_where_it_is_silent_nobody_is_judged(dive: Dive, tmp_path: Path) -> None
     assert row.baseline_rmse == pytest.approx(np.sqrt(np.mean(baseline.velocity_error_n[~silent, 0] ** 2)))
     assert (row.samples, row.status) == (int((~silent).sum()), "partly covered")
     assert "solution_coverage" in codes(replay)
-    assert rows(replay, "evidence")["velocity_along"].word == "better"
+    assert rows(replay, "evidence")["velocity_along"].verdict == "better"
 
 
-def test_its_start_is_laid_on_the_baseline_and_only_if_asked_turned(dive: Dive, tmp_path: Path) -> None:
+def test_its_start_is_aligned_on_the_baseline_and_only_if_asked_turned(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
     # The frame itself is turned: ways, velocities and attitude alike.
     turn = Rotation.from_rotvec([0.0, 0.0, 20.0 * DEG])
-    turned = Told(told.time_ns, turn.apply(told.way_n), turn.apply(told.velocity_n), turn * told.attitude)
+    turned = Told(told.time_ns, turn.apply(told.moved_n), turn.apply(told.velocity_n), turn * told.attitude)
     asked = config("/odometry", Solution(topic="/odometry", align="heading"))
     replay = replayed(tmp_path, dive, asked, write_odometry(tmp_path / "own.mcap", turned))
-    own, laid = rows(replay, "reference_error"), rows(replay, "reference_error", "onboard1")
+    own, aligned = rows(replay, "reference_error"), rows(replay, "reference_error", "onboard1")
     assert own["heading"].rmse == pytest.approx(20.0, rel=1e-6)
     assert own["position_h"].rmse > 1.0
     # What is left is what the baseline's heading is off by at the start: nothing.
-    assert max(laid["heading"].rmse, laid["position_h"].rmse, laid["velocity_n"].rmse) < 1e-4
+    assert max(aligned["heading"].rmse, aligned["position_h"].rmse, aligned["velocity_n"].rmse) < 1e-4
     (text,) = (note.text for note in replay.notes if note.code == "solution_turned")
     assert "-20.00 deg" in text
 
@@ -236,12 +236,12 @@ def test_what_is_turned_keeps_its_covariance_and_its_mounting(dive: Dive, tmp_pa
     covs["pose.covariance"][:, :3] = covs["pose.covariance"][:, :, :3] = 0.0
     turn = Rotation.from_rotvec([0.0, 0.0, 70.0 * DEG])
     mounting = Rotation.from_euler("Z", 90.0, degrees=True)
-    turned = Told(told.time_ns, turn.apply(told.way_n), turn.apply(told.velocity_n), turn * told.attitude)
+    turned = Told(told.time_ns, turn.apply(told.moved_n), turn.apply(told.velocity_n), turn * told.attitude)
     part = write_odometry(tmp_path / "plain.mcap", turned, covs)
     found = rows(replayed(tmp_path, dive, config(Solution(topic="/odometry", align="heading")), part), "credibility")
     assert "position" not in found
     assert found["velocity"].verdict == "consistent"
-    across = Told(turned.time_ns, turned.way_n, turned.velocity_n, turned.attitude * mounting)
+    across = Told(turned.time_ns, turned.moved_n, turned.velocity_n, turned.attitude * mounting)
     settings = config(Solution(topic="/odometry", align="heading", mounting_rpy_deg=(0.0, 0.0, 90.0)))
     replay = replayed(tmp_path, dive, settings, write_odometry(tmp_path / "across.mcap", across))
     assert rows(replay, "reference_error")["heading"].rmse < 4.0  # what the first attitude was off by, and noise
@@ -252,7 +252,7 @@ def test_what_is_turned_keeps_its_covariance_and_its_mounting(dive: Dive, tmp_pa
 def test_a_lever_arm_and_a_mounting_are_taken_off(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
     arm_b, mounting = np.array([1.5, -0.5, 0.3]), Rotation.from_euler("ZYX", [90.0, 3.0, -2.0], degrees=True)
-    moved = Told(told.time_ns, told.way_n + told.attitude.apply(arm_b), told.velocity_n, told.attitude * mounting)
+    moved = Told(told.time_ns, told.moved_n + told.attitude.apply(arm_b), told.velocity_n, told.attitude * mounting)
     part = write_odometry(tmp_path / "own.mcap", moved)
     replay = replayed(
         tmp_path,
@@ -285,14 +285,14 @@ def test_a_solution_of_another_time_is_refused(dive: Dive, tmp_path: Path) -> No
 
 def test_without_a_reference_its_jumps_are_left(dive: Dive, tmp_path: Path) -> None:
     told = truth_of(dive)
-    jumped = off(told, way_n=np.where(np.arange(len(told.time_ns))[:, None] > 500, [0.0, 5.0, 0.0], 0.0))
+    jumped = off(told, moved_n=np.where(np.arange(len(told.time_ns))[:, None] > 500, [0.0, 5.0, 0.0], 0.0))
     level = Initial(source="level", heading_deg=0.0, latitude_deg=32.8)
     alone = replace(dive, reference=None, truth=None)
     part = write_odometry(tmp_path / "own.mcap", jumped)
     replay = replayed(tmp_path, alone, config("/odometry", initial=level), part)
     assert [row.jumps for row in replay.tables.jumps] == [1]
     assert not [row for row in replay.tables.evidence if row.filter == "onboard"]
-    assert replay.verdicts["onboard"].improvement == "undecided"
+    assert replay.verdicts["onboard"].verdict == "undecided"
 
 
 def test_who_looks_at_the_baseline_alone_needs_no_solution(dive: Dive, tmp_path: Path) -> None:
@@ -314,7 +314,7 @@ def test_what_cannot_be_a_solution_is_refused(dive: Dive, tmp_path: Path, soluti
     assert caught.value.hint
 
 
-def test_a_file_that_is_named_as_a_topic_is_told_its_key(dive: Dive, tmp_path: Path) -> None:
+def test_a_file_that_is_named_as_a_topic_is_reported_its_key(dive: Dive, tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", dive)
     with pytest.raises(LogError) as caught:
         read_dive(tmp_path / "dive.mcap", config(Solution(topic="flown.tum", align="heading")))
@@ -341,7 +341,7 @@ def test_the_projects_own_message_is_taken_as_it_is(dive: Dive, tmp_path: Path) 
     assert rows(replay, "reference_error", "onboard1")["depth"].rmse < 1e-6
 
 
-def test_what_is_the_reference_by_another_name_is_not_judged(dive: Dive, tmp_path: Path) -> None:
+def test_what_is_the_reference_by_another_name_is_not_evaluated(dive: Dive, tmp_path: Path) -> None:
     """Evo's file of the reference, or its topic recorded twice."""
     write_tum(tmp_path / "own.tum", truth_of(dive))
     write_dive(tmp_path / "dive.mcap", dive)
@@ -349,7 +349,7 @@ def test_what_is_the_reference_by_another_name_is_not_judged(dive: Dive, tmp_pat
     read = read_checked_dive(tmp_path / "dive.mcap", settings)
     replay = replay_dive(read, settings)
     assert "solution_onboard_is_reference" in codes(replay)
-    assert replay.verdicts["onboard"].improvement == "not evaluated"
+    assert replay.verdicts["onboard"].verdict == "not evaluated"
 
 
 def test_the_reference_in_disguise_is_found(dive: Dive, tmp_path: Path) -> None:
@@ -369,7 +369,7 @@ def test_a_track_in_metres_that_is_the_references_is_found(
     second is a solution of its own."""
     own = truth_of(dive)
     since_s = seconds(own.time_ns, own.time_ns[0])[:, None]
-    write_tum(tmp_path / "own.tum", off(own, way_n=since_s * [0.0, east_m_per_s, 0.0], turn_n=np.array([0, 0, DEG])))
+    write_tum(tmp_path / "own.tum", off(own, moved_n=since_s * [0.0, east_m_per_s, 0.0], turn_n=np.array([0, 0, DEG])))
     assert dive.reference is not None
     nothing = np.full_like(dive.reference.velocity_n, np.nan)
     fixes = replace(dive.reference.without_attitude(), velocity_n=nothing)
@@ -380,7 +380,7 @@ def test_a_track_in_metres_that_is_the_references_is_found(
 
 
 @pytest.mark.parametrize("late_ns", [0, 30_000_000])
-def test_a_good_solution_is_judged_whenever_it_is_stamped(dive: Dive, tmp_path: Path, late_ns: int) -> None:
+def test_a_good_solution_is_evaluated_whenever_it_is_stamped(dive: Dive, tmp_path: Path, late_ns: int) -> None:
     """At the reference's instants, and at none of them: what is as near as 0.3 m is not therefore the same."""
     reference = dive.reference
     assert reference is not None
@@ -410,9 +410,9 @@ def test_the_baseline_from_another_start_is_neither_better_nor_worse(factor: flo
     settings = msgspec.structs.replace(tactical, filters=settings.filters)
     for seed in (1, 2, 3):
         made = simulate_dive("figure-eight", seed=seed, duration_s=400.0, grade="tactical")
-        flown = flown_from_a_drawn_start(made, settings, seed, factor)
-        replay = replay_dive(replace(made, solutions={"onboard": flown}), settings)
-        assert replay.verdicts["onboard"].improvement == word
+        onboard = flown_from_a_drawn_start(made, settings, seed, factor)
+        replay = replay_dive(replace(made, solutions={"onboard": onboard}), settings)
+        assert replay.verdicts["onboard"].verdict == word
 
 
 def flown_from_a_drawn_start(dive: Dive, settings: Config, seed: int, factor: float) -> SolutionColumns:
@@ -421,14 +421,14 @@ def flown_from_a_drawn_start(dive: Dive, settings: Config, seed: int, factor: fl
     assert reference is not None
     _, start = drawn_starts(prepared.alignment.start, 2, (seed, 77))
     begun = replace(prepared, alignment=replace(prepared.alignment, start=start))
-    flown = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion()
-    flown = flown.rows(np.isin(flown.time_ns, reference.time_ns))
-    true = reference.rows(np.isin(reference.time_ns, flown.time_ns))
-    turn = Rotation.from_matrix(flown.mat_nb @ true.mat_nb.swapaxes(1, 2)).as_rotvec()
+    onboard = run_one(prepared.filters[0], begun, prepared_timeline(dive, prepared)).motion()
+    onboard = onboard.rows(np.isin(onboard.time_ns, reference.time_ns))
+    true = reference.rows(np.isin(reference.time_ns, onboard.time_ns))
+    turn = Rotation.from_matrix(onboard.mat_nb @ true.mat_nb.swapaxes(1, 2)).as_rotvec()
     wrong = replace(
-        flown,
-        position=true.position + factor * (flown.position - true.position),
-        velocity_n=true.velocity_n + factor * (flown.velocity_n - true.velocity_n),
+        onboard,
+        position=true.position + factor * (onboard.position - true.position),
+        velocity_n=true.velocity_n + factor * (onboard.velocity_n - true.velocity_n),
         mat_nb=Rotation.from_rotvec(factor * turn).as_matrix() @ true.mat_nb,
     )
     return SolutionColumns(wrong, None, *no_covariances())

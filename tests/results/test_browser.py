@@ -115,7 +115,7 @@ def test_every_plot_of_a_dive_is_drawn(pages: dict[str, Path], browser: Browser)
     assert browser.value(drawn)
 
 
-def test_a_click_sorts_by_number_and_what_is_missing_stands_last(pages: dict[str, Path], browser: Browser) -> None:
+def test_a_click_sorts_by_number_and_what_is_missing_is_last(pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["index"], 1280)
     column = '[...document.querySelector("tbody").rows].map(row => parseFloat(row.cells[4].textContent))'
     for ascending in (True, False):
@@ -170,7 +170,7 @@ WIDEST_CELLS = """
 
 
 @pytest.mark.parametrize("width", [1100, 1200, 1366])
-def test_no_digit_of_the_evidence_lies_behind_an_edge(width: int, pages: dict[str, Path], browser: Browser) -> None:
+def test_no_digit_of_the_evidence_is_behind_an_edge(width: int, pages: dict[str, Path], browser: Browser) -> None:
     browser.open(pages["straight"], width)
     assert browser.value(WIDEST_CELLS) == [0, 0]
 

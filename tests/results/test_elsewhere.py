@@ -129,10 +129,10 @@ def test_every_path_of_the_foxglove_layout_is_a_number_of_a_replay(messages: dic
     assert named <= messages.keys()
 
 
-def test_every_panel_of_the_foxglove_layout_lies_on_one_tab() -> None:
+def test_every_panel_of_the_foxglove_layout_is_on_one_tab() -> None:
     layout = json.loads((LAYOUTS / "foxglove.json").read_text("utf-8"))
     tabs = layout["configById"][layout["layout"]]["tabs"]
-    assert [tab["title"] for tab in tabs] == ["belief", "error", "innovation", "motion"]
+    assert [tab["title"] for tab in tabs] == ["prediction", "error", "innovation", "motion"]
     shown = [panel for tab in tabs for panel in leaves(tab["layout"])]
     assert sorted([*shown, layout["layout"]]) == sorted(layout["configById"])
 
@@ -148,7 +148,7 @@ def test_every_curve_of_the_plotjuggler_layout_is_a_number_of_a_replay(messages:
         assert int(splitter.get("count", "")) == len(splitter) == len(splitter.get("sizes", "").split(";"))
 
 
-def test_layouts_beside_a_replay_name_its_filters() -> None:
+def test_layouts_next_to_a_replay_name_its_filters() -> None:
     made = viewer_layouts(["plain", "windowed", "published"])
     for name, text in made.items():
         drawn = (LAYOUTS / name).read_text("utf-8")

@@ -27,7 +27,7 @@ def evidence(quantity: str, name: str, baseline_s: float | None, value_s: float 
     )
 
 
-def test_each_filter_has_a_line_what_it_believes_and_a_point_where_it_has_converged() -> None:
+def test_each_filter_has_a_line_what_it_predicts_and_a_point_where_it_has_converged() -> None:
     rows = [
         evidence("convergence_velocity", "aided", 100.0, 50.0),
         evidence("convergence_heading", "aided", None, None),

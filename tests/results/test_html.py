@@ -63,7 +63,7 @@ def result(replay: Replay, tmp_path_factory: pytest.TempPathFactory) -> tuple[Do
 
 def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
-    assert document.texts["p"][0] == report.filters["aided"].verdict
+    assert document.texts["p"][0] == report.filters["aided"].sentence
     cells = document.texts["td"]
     glance = list(glance_table(report).rows[0])
     assert any(cells[place : place + 7] == glance for place in range(len(cells)))
@@ -90,15 +90,15 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
     assert all(len(path) > 5 for path in paths if path)
 
 
-def test_believed_stands_beside_measured_where_both_are_known(result: tuple[Document, Report, bytes]) -> None:
+def test_predicted_is_next_to_measured_where_both_are_known(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
     (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelievedmeasured"))
     measured = {row.quantity: row.ratio for row in report.tables.evidence if row.evidence in ("accuracy", "outage")}
-    believed = {row.state: row.improvement_pct for row in report.tables.improvement}
+    predicted = {row.state: row.improvement_pct for row in report.tables.improvement}
     level_pct, drift_pct = (100.0 * (1.0 - finite(measured[name])) for name in ("level", "drift_30s"))
-    assert f"level, north{believed['phi_n']:.1f} %{level_pct:.1f} %" in bars
+    assert f"level, north{predicted['phi_n']:.1f} %{level_pct:.1f} %" in bars
     assert f"mean / drift in 30 s{report.filters['aided'].mean_improvement_pct:.1f} %{drift_pct:.1f} %" in bars
-    assert document.count("rect", "believed") == document.count("rect", "measured") == 4
+    assert document.count("rect", "predicted") == document.count("rect", "measured") == 4
 
 
 def test_page_names_its_origin(result: tuple[Document, Report, bytes]) -> None:
@@ -111,7 +111,7 @@ def test_page_names_its_origin(result: tuple[Document, Report, bytes]) -> None:
     assert {channel.topic for channel in report.log.channels} <= set(document.texts["td"])
 
 
-def test_settings_that_differ_from_the_defaults_stand_by_themselves() -> None:
+def test_settings_that_differ_from_the_defaults_are_by_themselves() -> None:
     config = msgspec.to_builtins(load_config(overrides=["dvl.scale=1.01", "filters.aided.acceleration.window=5"]))
     heading, *changed = changed_settings(config).split("\n")
     assert heading.startswith("# ")
@@ -161,7 +161,7 @@ def test_identifiers_are_unique(result: tuple[Document, Report, bytes]) -> None:
     assert len(ids) == len(set(ids)) > 0
 
 
-def test_notes_are_told_with_their_counts(replay: Replay, tmp_path: Path) -> None:
+def test_notes_are_reported_with_their_counts(replay: Replay, tmp_path: Path) -> None:
     note = Note("imu_gaps", "the IMU <pauses> 3 times", 4711, "warning", "imu.max_gap_s=2")
     document, _, _ = saved(replace(replay, notes=(note,)), tmp_path / "notes")
     cells = document.texts["td"]
@@ -191,7 +191,9 @@ def alone() -> Replay:
     ]))  # fmt: skip
 
 
-def test_a_dive_without_a_reference_has_a_page_of_outage_honesty_and_belief(alone: Replay, tmp_path: Path) -> None:
+def test_a_dive_without_a_reference_has_a_page_of_outage_consistency_and_prediction(
+    alone: Replay, tmp_path: Path
+) -> None:
     document, report, data = saved(alone, tmp_path / "alone")
     first, titles = pictures(document)
     assert len(first) == 2
@@ -199,7 +201,7 @@ def test_a_dive_without_a_reference_has_a_page_of_outage_honesty_and_belief(alon
     assert titles[1].startswith("drift in 60 s")
     assert not {title for title in titles if title.startswith(("position error", "level"))}
     assert data.decode().count(NO_REFERENCE) == 1
-    assert NO_REFERENCE.lower() not in report.filters["aided"].verdict.lower()
+    assert NO_REFERENCE.lower() not in report.filters["aided"].sentence.lower()
     (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelieved"))
     assert "mean / DVL outage 30 s" in bars
     assert glance_table(report).rows[0][0] in document.texts["td"]

@@ -33,7 +33,7 @@ from insdvl_replay.show.dive import (
     headline_table,
     replay_result,
     track_fit_line,
-    word_in_table,
+    verdict_in_table,
 )
 from insdvl_replay.show.dives import Failure, summary_csv
 from insdvl_replay.show.document import number, percent, table_csv
@@ -177,7 +177,7 @@ def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
     assert "within 10 %" not in as_markdown(dive_document(report()))
 
 
-def test_no_gain_stands_beside_a_filter_that_is_not_judged() -> None:
+def test_no_gain_is_next_to_a_filter_that_is_not_evaluated() -> None:
     judged = report()
     aided = msgspec.structs.replace(judged.filters["aided"], improvement="not evaluated")
     unjudged = msgspec.structs.replace(judged, filters={"aided": aided})
@@ -236,18 +236,18 @@ def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_
     whole = as_markdown(dive_document(report()))
     assert "Reference error" in whole
     assert "Credibility" in whole
-    assert glance_table(alone).header == ("filter", "judgement", "measured", "believed", "innovations")
+    assert glance_table(alone).header == ("filter", "verdict", "measured", "predicted", "innovations")
     assert run_log(alone).count(NO_REFERENCE) == 1
     assert len(closing_lines(alone)) == 1
     assert NO_REFERENCE not in as_markdown(dive_document(report()))
 
 
 @pytest.mark.parametrize(("quantity", "shown"), [("drift_60s", "undecided"), ("depth_60s", "(undecided)")])
-def test_a_word_without_a_vote_stands_in_brackets(quantity: str, shown: str) -> None:
-    row = replace(tables().evidence[0], quantity=quantity, word="undecided")
-    assert word_in_table(row) == shown
+def test_a_word_without_a_vote_is_in_brackets(quantity: str, shown: str) -> None:
+    row = replace(tables().evidence[0], quantity=quantity, verdict="undecided")
+    assert verdict_in_table(row) == shown
     assert f"| {shown} |" in as_markdown(dive_document(replace(report(), tables=replace(tables(), evidence=[row]))))
-    assert not word_in_table(replace(row, word="")), "what is not evaluated has no word"
+    assert not verdict_in_table(replace(row, verdict="")), "what is not evaluated has no word"
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
@@ -332,7 +332,7 @@ def write_result(
             raise interruption
 
 
-def word_of(target: Path) -> str:
+def verdict_of_interval(target: Path) -> str:
     return str(json.loads((target / COMPLETE).read_bytes())["word"])
 
 
@@ -359,7 +359,7 @@ def test_folder_leaves_nothing_behind_and_the_old_one_alone(tmp_path: Path, inte
     with pytest.raises(interruption):
         write_result(target, "half", force=True, interruption=interruption)
     assert list(tmp_path.iterdir()) == [target]
-    assert word_of(target) == "old"
+    assert verdict_of_interval(target) == "old"
 
 
 def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
@@ -368,7 +368,7 @@ def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="dive: exists"):
         write_result(target, "new")
     write_result(target, "new", force=True)
-    assert word_of(target) == "new"
+    assert verdict_of_interval(target) == "new"
     assert list(tmp_path.iterdir()) == [target]
 
 

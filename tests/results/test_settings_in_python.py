@@ -33,6 +33,6 @@ def test_a_mapping_sets_the_keys_in_it() -> None:
 
 
 @pytest.mark.parametrize("value", [None, [1.0, None, 2.0], np.array([1.0, None, 2.0])])
-def test_none_is_told(value: Any) -> None:
+def test_none_is_reported(value: Any) -> None:
     with pytest.raises(ConfigError, match=r"^dvl.lever_arm_m: None"):
         load_config(settings={"dvl": {"lever_arm_m": value}})

@@ -62,8 +62,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rows, rng = len(told.time_ns), np.random.default_rng(1)
     velocity_n, turn_n = rng.normal(0.0, 0.01, (rows, 3)), rng.normal(0.0, 1e-3, (rows, 3))
     drift_n = np.cumsum(rng.normal(0.0, 2e-3, (rows, 3)), axis=0)
-    wrong = off(told, velocity_n=velocity_n, turn_n=turn_n, way_n=drift_n)
-    jumped = off(wrong, way_n=np.where(np.arange(rows)[:, None] > rows // 2, [3.0, 0.0, 0.0], 0.0))
+    wrong = off(told, velocity_n=velocity_n, turn_n=turn_n, moved_n=drift_n)
+    jumped = off(wrong, moved_n=np.where(np.arange(rows)[:, None] > rows // 2, [3.0, 0.0, 0.0], 0.0))
     covs = {name: np.tile(1e-2 * np.eye(6), (rows, 1, 1)) for name in ("pose.covariance", "twist.covariance")}
     write_odometry(folder / "odometry.mcap", wrong, covs)
     write_tum(folder / "flown.tum", jumped)
@@ -84,7 +84,7 @@ def table(place: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_solutions_stand_behind_the_filters_that_were_run(place: Path) -> None:
+def test_solutions_are_behind_the_filters_that_were_run(place: Path) -> None:
     report: dict[str, Any] = json.loads((place / "result" / "dive" / "report.json").read_text())
     assert list(report["filters"]) == ["aided", "onboard", "odometry"]
     assert report["filters"]["onboard"]["mean_improvement_pct"] is None
@@ -127,9 +127,9 @@ def test_it_is_compared_and_run_again_only_if_the_file_is_another(
 ) -> None:
     assert run(place, "result") == 0
     assert "unchanged" in "".join(capsys.readouterr())
-    flown = place / "flown.tum"
-    lines = flown.read_text().splitlines()
-    flown.write_text("\n".join(lines[: len(lines) // 2]) + "\n")
+    onboard = place / "flown.tum"
+    lines = onboard.read_text().splitlines()
+    onboard.write_text("\n".join(lines[: len(lines) // 2]) + "\n")
     assert run(place, "result") == 2  # made with other settings: not replaced unasked
     assert run(place, "other") == 0
     capsys.readouterr()
@@ -137,4 +137,4 @@ def test_it_is_compared_and_run_again_only_if_the_file_is_another(
     shown = capsys.readouterr().out
     assert "filters.onboard.solution.sha256" in shown
     assert "onboard" in shown
-    flown.write_text("\n".join(lines) + "\n")
+    onboard.write_text("\n".join(lines) + "\n")

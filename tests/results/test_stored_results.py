@@ -27,7 +27,7 @@ def test_results_are_found_at_any_depth_in_the_order_of_their_paths(tmp_path: Pa
     assert names_in(tmp_path) == [("first", "a/2026/x"), ("second", "b")]
 
 
-def test_what_is_still_written_and_what_lies_in_a_result_is_passed_over(tmp_path: Path) -> None:
+def test_what_is_still_written_and_what_is_in_a_result_is_ignored(tmp_path: Path) -> None:
     write(tmp_path / ".dive-unfinished", content("unfinished"))
     write(tmp_path / "dive" / "inside", content("inside"))
     write(tmp_path / "dive", content("dive"))
@@ -43,7 +43,7 @@ def test_studies_are_counted_and_alone_no_results(tmp_path: Path) -> None:
     assert (len(results), note.code, note.count) == (1, "studies_left_out", 1)
 
 
-def test_a_place_without_results_and_no_place_are_a_users_mistakes(tmp_path: Path) -> None:
+def test_a_place_without_results_and_no_place_are_a_users_errors(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=tmp_path.name):
         read_results(tmp_path)
     with pytest.raises(ConfigError, match="elsewhere"):

@@ -66,7 +66,7 @@ def test_formats_are_what_they_say_and_the_same_bytes(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize("format_", ["pdf", "svg", "png"])
-def test_a_full_disk_is_told(
+def test_a_full_disk_is_reported(
     format_: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(_path: Path, _data: bytes) -> int:
@@ -108,7 +108,7 @@ def test_width_and_states_are_those_asked_for(folder: Path, tmp_path: Path) -> N
         (["error", "-o", "taken.pdf"], 2, "taken.pdf: "),
     ],
 )
-def test_wrong_uses_are_told(
+def test_wrong_uses_are_reported(
     options: list[str], code: int, reason: str, folder: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
@@ -252,7 +252,7 @@ def test_a_result_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert read == [folder / "report.json"]
 
 
-def test_a_name_that_is_not_there_is_told_those_that_are(replayed: Result) -> None:
+def test_a_name_that_is_not_there_is_reported_those_that_are(replayed: Result) -> None:
     with pytest.raises(UserError) as caught:
         _ = replayed.tables["x"]
     assert "'x'" in str(caught.value)
@@ -266,7 +266,7 @@ def test_a_name_that_is_not_there_is_told_those_that_are(replayed: Result) -> No
     assert replayed.tables.get("x") is None
 
 
-def test_a_folder_without_the_result_is_told(folder: Path, tmp_path: Path) -> None:
+def test_a_folder_without_the_result_is_reported(folder: Path, tmp_path: Path) -> None:
     assert read_result(folder.parent).name == "figure_eight", "the one there is"
     with pytest.raises(UserError, match="nowhere: "):
         read_result(tmp_path / "nowhere")

@@ -88,7 +88,7 @@ def test_a_link_that_leads_to_no_file_is_refused_in_words(leads: str, named: str
 
 
 @pytest.mark.parametrize("name", ["a" * 5000, "a" * 5000 + "/dive"])
-def test_a_name_that_no_folder_can_have_is_told(name: str, tmp_path: Path) -> None:
+def test_a_name_that_no_folder_can_have_is_reported(name: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="File name too long"), result_folder(tmp_path / name):
         pass
 

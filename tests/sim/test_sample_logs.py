@@ -38,7 +38,7 @@ def test_sample_log_is_made_again_byte_for_byte(name: str, tmp_path: Path) -> No
     assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == checksums()[name]
 
 
-def test_the_command_beside_the_logs_names_them_all() -> None:
+def test_the_command_next_to_the_logs_names_them_all() -> None:
     command = (SAMPLES / "make.sh").read_text("utf-8")
     for name, scenario in SCENARIOS.items():
         assert f'simulate {scenario} --seed 1 --force --output "$folder/{name}"' in command

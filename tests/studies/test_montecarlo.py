@@ -149,10 +149,10 @@ def test_ratios_and_improvements_are_those_of_the_last_ping() -> None:
     after = replace(before, filter="other", sd=before.sd / 2.0)
     table = montecarlo_table((before, after)).set_index(["filter", "state"])
     assert table.loc[("one", "dv_n"), "ratio"] == pytest.approx(1.0)
-    assert table.loc[("other", "dv_n"), ["ratio", "believed_improvement_pct", "true_improvement_pct"]].tolist() == (
+    assert table.loc[("other", "dv_n"), ["ratio", "predicted_improvement_pct", "true_improvement_pct"]].tolist() == (
         pytest.approx([2.0, 50.0, 0.0])
     )
-    assert table.loc["one"]["believed_improvement_pct"].isna().all()
+    assert table.loc["one"]["predicted_improvement_pct"].isna().all()
     assert table.loc[("one", "phi_n"), "final_sd"] == pytest.approx(2000.0), "mrad"
 
 
@@ -235,7 +235,7 @@ def test_verdict_changes_with_the_data_and_not_with_the_filters_name(verdicts: p
 
 
 @pytest.mark.nightly
-def test_told_baselines_nees_is_inside_its_interval(verdicts: pd.DataFrame) -> None:
+def test_reported_baselines_nees_is_inside_its_interval(verdicts: pd.DataFrame) -> None:
     row = verdicts.loc[("told", "baseline")]
     assert row["low"] < row["mean_nees"] < row["high"]
     assert row["inside_pct"] > 80.0
@@ -310,7 +310,7 @@ def test_ping_without_velocity_leaves_no_hole_in_the_ensemble() -> None:
     assert [len(run.time_s) for run in runs] == [21, 21]
 
 
-def test_unknown_names_are_told_with_the_nearest() -> None:
+def test_unknown_names_are_reported_with_the_nearest() -> None:
     with pytest.raises(ConfigError, match="'matchd'") as caught:
         make_setup("straight", MATCHED, "matchd")
     assert "matched" in caught.value.hint

@@ -222,7 +222,7 @@ def test_straight_line_hides_two_pairs_heading_and_a_gyro_bias() -> None:
     assert "heading" in report.sentences[0]
 
 
-def test_heading_stays_hidden_in_a_turn_where_the_earth_stands() -> None:
+def test_heading_stays_hidden_in_a_turn_where_the_earth_is() -> None:
     """Nothing but the Earth's rate tells where north is: the way can be turned as a whole."""
     for scenario in ("turn", "weave"):
         report = study(scenario, earth_rate=False)
@@ -344,7 +344,7 @@ def last_updated_sd(history: History) -> Floats:
     return last
 
 
-def test_what_is_left_is_what_the_filter_believes_after_the_last_ping() -> None:
+def test_what_is_left_is_what_the_filter_predicts_after_the_last_ping() -> None:
     """Along the exact motion nothing is corrected, and the recursion is that of the filter with the same aiding."""
     config = load_config()
     dive = exact_dive("figure-eight", lever_arm_m=config.dvl.lever_arm_m)
@@ -369,7 +369,7 @@ def test_left_after_the_last_ping_may_be_more_than_at_the_start() -> None:
     assert f"misalignment, down ({heading['left_pct']:.0f} %)" in sentence
 
 
-def test_what_is_left_on_a_real_dive_is_what_its_filters_believe(snapir: Path) -> None:
+def test_what_is_left_on_a_real_dive_is_what_its_filters_predict(snapir: Path) -> None:
     log, config = snapir / "snapir_02.mcap", load_config(file=Path(__file__).parents[2] / "examples" / "snapir.toml")
     report, (velocity, windowed, _) = study_observability(str(log), config), replay_log(log, config).histories
     np.testing.assert_allclose(left_sd(report, "velocity"), last_updated_sd(velocity), rtol=2e-3)

@@ -61,7 +61,7 @@ def test_acceleration_is_the_rate_of_the_body_velocity_whatever_the_heading_does
     assert np.isnan(acceleration_b[[0, -1]]).all()
 
 
-def test_no_acceleration_beside_a_pause_or_a_missing_row() -> None:
+def test_no_acceleration_next_to_a_pause_or_a_missing_row() -> None:
     time_s = np.array([0.0, 1.0, 2.0, 3.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0])
     reference = body_reference(time_s, np.zeros((10, 3)))
     reference.velocity_n[8] = np.nan
@@ -71,7 +71,7 @@ def test_no_acceleration_beside_a_pause_or_a_missing_row() -> None:
     assert not np.isfinite(reference_acceleration(body_reference(time_s[:2], np.zeros((2, 3))), 2.5)).any()
 
 
-def test_between_rows_the_acceleration_lies_on_a_line() -> None:
+def test_between_rows_the_acceleration_is_on_a_line() -> None:
     row_ns = np.array([0, 1, 2, 3], dtype=np.int64) * 1_000_000_000
     acceleration_b = np.array([[np.nan] * 3, [1.0, 2.0, 3.0], [2.0, 0.0, 3.0], [np.nan] * 3])
     found = acceleration_at(np.array([500, 1250, 2000, 4000], dtype=np.int64) * 1_000_000, row_ns, acceleration_b)
@@ -126,7 +126,7 @@ def test_steady_jerk_is_met_at_the_middle_and_missed_by_half_a_window_at_the_end
     np.testing.assert_allclose(rmse_of(table, "end"), jerk * (np.arange(2, 7) - 1) / 2.0, rtol=0.0, atol=1e-9)
 
 
-def test_all_windows_are_judged_at_the_same_pings() -> None:
+def test_all_windows_are_evaluated_at_the_same_pings() -> None:
     measured = np.zeros((390, 3))
     measured[200:203] = np.nan
     table, _, notes = dive_windows(level_dive(np.zeros((1990, 3)), measured), load_config(), 10)

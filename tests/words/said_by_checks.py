@@ -117,12 +117,12 @@ def of_sensors(moving: ReferenceColumns) -> Cases:
             f"a depth: {name}",
             noted(sensor_notes({"depth": SensorColumns(time_ns, values[:, None])}, None, Config())),
         )
-    gauge = {"depth": SensorColumns(moving.time_ns, -moving.position[:, 2:])}
+    depth_sensor = {"depth": SensorColumns(moving.time_ns, -moving.position[:, 2:])}
     for surface_m in (10.0, -10.0):
         zero = Depth(surface_height_m=surface_m)
-        yield f"a depth of the surface {surface_m:g} m", noted(contradiction_notes(gauge, moving, zero))
+        yield f"a depth of the surface {surface_m:g} m", noted(contradiction_notes(depth_sensor, moving, zero))
     start = moving.rows(np.arange(len(moving.time_ns)) == 0)
-    at_start = depth_at_start_notes(gauge, None, start, Config(depth=Depth(surface_height_m=10.0)))
+    at_start = depth_at_start_notes(depth_sensor, None, start, Config(depth=Depth(surface_height_m=10.0)))
     yield "a depth at the start", noted(at_start)
     astray = np.deg2rad(np.linspace(-120.0, 120.0, 201) + 30.0)
     nothing = np.zeros((201, 3))

@@ -121,8 +121,8 @@ def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | 
     if "local_position" not in table:
         return None
     # Metres from an origin: the messages' own, else the initial position. All zero are messages about something else.
-    way_n = local_way_n(table, settings)
-    if not np.nan_to_num(way_n[:, :2]).any():
+    moved_n = local_position_n(table, settings)
+    if not np.nan_to_num(moved_n[:, :2]).any():
         return None
     origin = np.full((len(table), 3), np.nan)
     if initial.latitude_deg is not None:
@@ -133,13 +133,13 @@ def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | 
     if np.isnan(origin).all():
         return None
     latitude, longitude, height_m = origin[:, 0] * DEG, origin[:, 1] * DEG, origin[:, 2]
-    north_m, east_m, down_m = way_n.T
+    north_m, east_m, down_m = moved_n.T
     north = latitude + north_m / (meridian_radius_m(latitude) + height_m)
     east = longitude + east_m / ((transverse_radius_m(latitude) + height_m) * np.cos(latitude))
     return np.stack([north, east, height_m - down_m], axis=1)
 
 
-def local_way_n(table: Table, settings: Navigation) -> Floats:
+def local_position_n(table: Table, settings: Navigation) -> Floats:
     """Return the displacements from the origin that positions in metres have, shape (k, 3), north, east, down."""
     local_m = table.values("local_position", 3)
     if "local_valid" in table:
@@ -245,16 +245,16 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
         cleaner.require_rows()
     motion, table, (cleaner, found) = union(parts), tables[0], parts[0]
     completed, notes = table.source.completed(settings), [note for other, _ in parts for note in other.notes]
-    way_n = None
+    moved_n = None
     if "local_position" in table and not motion.has_position:
-        way_n = cleaner.kept(local_way_n(table, completed))
+        moved_n = cleaner.kept(local_position_n(table, completed))
     order, rows = rows_among(table.sampled, cleaner.rows, len(table))
     cov, wrong = _covariances(table, completed, found, order, rows)
     if wrong:
         text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
         hint = "whoever writes them can tell; without them the solution is not evaluated honest or not"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
-    return SolutionColumns(motion, way_n, cleaner.times[rows], cov), notes
+    return SolutionColumns(motion, moved_n, cleaner.times[rows], cov), notes
 
 
 def _covariances(

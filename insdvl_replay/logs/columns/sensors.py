@@ -35,7 +35,7 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     return SensorColumns(cleaner.times, cleaner.kept(values), kept_mat_nb), cleaner.notes
 
 
-def decode_own_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
+def decode_log_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
     """Make columns of a topic for user-defined measurements, as its messages have them."""
     values, cleaner = table.values("values"), Cleaner(table)
     cleaner.keep_finite(values)

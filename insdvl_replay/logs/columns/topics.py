@@ -98,7 +98,7 @@ NEEDS: Final = {
     **_BY_SENSOR,
 }
 
-OWN_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
+LOG_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
 PROPOSED: Final = ("imu", "dvl", "reference")  # roles for which `inspect` proposes topics and fields of unknown types
 _MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")  # whole messages, as BlueOS records them
