@@ -27,7 +27,7 @@ def judged(
     errors_of_aided: str = "consistent",
     errors_of_baseline: str = "consistent",
     unsound: Mapping[str, str] = MappingProxyType({}),
-    consistency: str = "equivalent",
+    of_consistency: str = "equivalent",
     independent: bool = True,
     kind: str = "accuracy",
     samples: int = 9,
@@ -39,7 +39,7 @@ def judged(
         EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, starts, 60, word)
         for quantity, word in zip(EVIDENCE_QUANTITIES, words, strict=False)
     ]
-    pieces.append(EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, consistency))
+    pieces.append(EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, of_consistency))
     tables = Tables(
         [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, predicted_pct, "improved") for state in STATES],
         [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],

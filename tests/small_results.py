@@ -11,7 +11,7 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
     """A report.json of one candidate with two states, a quantity and a measurement.
 
     `changes` go to the cells of their name: ``sd``, ``rmse``, ``final``, ``mean_nis``, ``reached_s``, ``verdict``,
-    ``filter``, ``sha256``, ``window``, ``improvement``, ``belief`` and ``word``; ``ba_x_sd`` goes to one row alone.
+    ``filter``, ``sha256``, ``window``, ``filter_verdict``, ``prediction`` and ``evidence_verdict``; ``ba_x_sd`` goes to one row alone.
     """
     filter_ = changes.get("filter", "aided")
     row = {"log": name, "filter": filter_}
@@ -38,7 +38,7 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
     evidence = [
         {**row, "evidence": "accuracy", "quantity": "drift_30s", "unit": "m", "baseline": 1.0, "value": 0.8,
          "ratio": 0.8, "low": 0.7, "high": 0.9, "effective_samples": 20.0, "starts": 16, "windows": 70,
-         "word": changes.get("word", "better")}
+         "verdict": changes.get("evidence_verdict", "better")}
     ]  # fmt: skip
     return {
         "tool": {"name": "insdvl-replay", "version": "0.1.0", "started_at": "2026-01-01T00:00:00+00:00"},
@@ -47,7 +47,7 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
                 "duration_s": 1.0, "channels": [{"topic": "/imu", "type_name": "sensor_msgs/msg/Imu",
                 "encoding": "cdr", "role": "imu", "messages": 100}]},
         "baseline": "baseline",
-        "filters": {filter_: {"verdict": "a sentence", "improvement": changes.get("verdict", "better"),
+        "filters": {filter_: {"sentence": "a sentence", "verdict": changes.get("filter_verdict", "better"),
                               "prediction": changes.get("prediction", "confirmed"),
                               "consistency": verdict, "mean_improvement_pct": 50.0,
                               "mean_convergence_improvement_pct": 60.0, "reference_improvement_pct": 20.0}},

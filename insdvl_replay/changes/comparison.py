@@ -594,7 +594,7 @@ _OLD_AND_NEW: Final[tuple[Column, ...]] = (
     ("old", "r", "old:cell"),
     ("new", "r", "new:cell"),
     ("change", "r", "grown"),
-    ("", "l", "word"),
+    ("", "l", "verdict"),
 )
 
 

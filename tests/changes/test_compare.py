@@ -515,8 +515,8 @@ def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
 
 def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
     old, new = (
-        content(improvement="undecided", prediction="undecided"),
-        content(improvement="better", prediction="confirmed"),
+        content(filter_verdict="undecided", prediction="undecided"),
+        content(filter_verdict="better", prediction="confirmed"),
     )
     first, second, *rest = opening_lines(compared(tmp_path, old, new))
     assert re.fullmatch(r"aided .*better.* undecided", first)
@@ -529,7 +529,7 @@ def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
 def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_path: Path) -> None:
     for name, word in (("one", "worse"), ("two", "worse"), ("three", "better")):
         write(tmp_path / "old" / name, content(name))
-        write(tmp_path / "new" / name, content(name, improvement=word, prediction="undecided"))
+        write(tmp_path / "new" / name, content(name, filter_verdict=word, prediction="undecided"))
     write(tmp_path / "old" / "four", content("four", prediction="undecided"))
     write(tmp_path / "new" / "four", content("four", prediction="undecided"))
     comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))

@@ -175,7 +175,7 @@ def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: 
     ],
 )
 def test_no_number_of_a_filter_that_is_not_evaluated_passes(keys: dict[str, Any], passed: bool) -> None:
-    report = stored(improvement="not evaluated")
+    report = stored(filter_verdict="not evaluated")
     assert passes(gate(**keys), report) is passed
 
 
@@ -343,7 +343,7 @@ def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processo
 )
 def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], passed: bool) -> None:
     keys = {"table": "evidence", "row": "drift_30s", "column": "verdict", "equals": wanted}
-    assert passes(gate(**keys), stored(verdict=word)) is passed
+    assert passes(gate(**keys), stored(evidence_verdict=word)) is passed
 
 
 @pytest.mark.parametrize(
@@ -354,7 +354,7 @@ def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], pas
         {"table": "filters", "column": "prediction", "equals": ["confirmed", "undecided", "not confirmed"]},
         {
             "table": "filters",
-            "column": "improvement",
+            "column": "verdict",
             "equals": ["better", "mixed", "equivalent", "undecided", "worse"],
         },
         {"table": "outage", "column": "ratio_to_baseline", "max": 1e9},
@@ -366,17 +366,17 @@ def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], pas
 @pytest.mark.parametrize("word", ["better", ""])
 def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(keys: dict[str, Any], word: str) -> None:
     """Even where a report of another version has left a word beside it."""
-    report = stored(improvement="not evaluated", prediction="undecided", verdict=word)
+    report = stored(filter_verdict="not evaluated", prediction="undecided", evidence_verdict=word)
     row = {"log": "dive", "filter": "aided"}
     report.tables["outage"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
     report.tables["drift"] = [row | {"quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert not passes(gate(**keys), report)
     report.filters["aided"]["verdict"] = "better"
-    assert passes(gate(**keys), report) is (word != "" or keys["column"] != "verdict")
+    assert passes(gate(**keys), report) is (word != "" or keys["table"] != "evidence" or keys["column"] != "verdict")
 
 
 def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -> None:
-    report = stored(improvement="not evaluated")
+    report = stored(filter_verdict="not evaluated")
     report.tables["drift"] = [{"log": "dive", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert passes(gate(table="drift", filter="baseline", row="drift_60s", column="p95", max=1.0), report)
     report.tables["track_fit"] = [

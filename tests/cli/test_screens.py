@@ -132,7 +132,7 @@ def judged(name: str, verdict: Verdict, ratio: float = 0.8) -> Report:
     made = report(name)
     first, *others = made.tables.evidence
     rows = [replace(first, value=ratio, ratio=ratio, low=0.9 * ratio, high=1.1 * ratio), *others]
-    aided = replace(made.filters["aided"], improvement=verdict)
+    aided = replace(made.filters["aided"], verdict=verdict)
     log = replace(made.log, name=name)
     return replace(made, log=log, filters={"aided": aided}, tables=replace(made.tables, evidence=rows))
 

@@ -35,7 +35,7 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
 
 def test_every_verdict_has_a_sentence_and_a_rank() -> None:
     candidates, *_ = LAYOUTS
-    assert {*candidates.words["improvement"]} == {*verdicts.AGAINST, Verdict.NOT_EVALUATED} == {*Verdict}
+    assert {*candidates.words["verdict"]} == {*verdicts.AGAINST, Verdict.NOT_EVALUATED} == {*Verdict}
 
 
 _OTHERS = "|".join(("beam_", "parity", "held_out_", *SENSORS))

@@ -30,7 +30,7 @@ def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], ve
 
 
 @pytest.mark.parametrize(
-    ("believed_pct", "ratio", "prediction"),
+    ("predicted_pct", "ratio", "prediction"),
     [
         (40.0, (0.6, 0.5, 0.7), "confirmed"),
         (40.0, (0.79, 0.79, 0.79), "confirmed"),
@@ -52,14 +52,14 @@ def test_few_starts_say_nothing_of_what_is_predicted(starts: int, prediction: st
     """From the exact start a filter cannot show that it wears off errors of the start."""
     found = judged(["equivalent"], 40.0, (1.0, 0.99, 1.01), starts=starts)
     assert found.prediction == prediction
-    assert bool(re.search(r"\b8 .*starts\b", found.verdict)) == (starts < 8)
+    assert bool(re.search(r"\b8 .*starts\b", found.sentence)) == (starts < 8)
 
 
 def test_as_good_names_what_the_first_piece_leaves_undecided() -> None:
     words = ["equivalent", "undecided", "equivalent", "undecided"]
-    assert "undecided: drift in 60 s, velocity along." in judged(words).verdict
-    assert "undecided:" not in judged(["equivalent", "equivalent"]).verdict
-    assert "undecided:" not in judged(["better", "undecided"]).verdict
+    assert "undecided: drift in 60 s, velocity along." in judged(words).sentence
+    assert "undecided:" not in judged(["equivalent", "equivalent"]).sentence
+    assert "undecided:" not in judged(["better", "undecided"]).sentence
 
 
 @pytest.mark.parametrize("unsound", ["aided", "baseline"])
@@ -77,17 +77,17 @@ def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, wo
 
 
 def test_sentence_holds_the_numbers_that_it_was_evaluated_by() -> None:
-    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="overconfident", consistency="worse").verdict
+    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="overconfident", of_consistency="worse").sentence
     assert re.match(
         r"aided .*WORSE .*baseline: drift in 30 s 75\.0 % .*2 m, .*3\.5 m; .*\+50\.0 .*\+100\.0 %", sentence
     )
     assert "40.0 %" in sentence
-    assert " 30.0 % larger" in judged(["better"], -30.0).verdict
+    assert " 30.0 % larger" in judged(["better"], -30.0).sentence
 
 
 def test_a_reference_that_shares_sensors_is_part_of_the_sentence() -> None:
-    apart = judged(["better"]).verdict
-    assert judged(["better"], independent=False).verdict.startswith(f"{apart} ")
+    apart = judged(["better"]).sentence
+    assert judged(["better"], independent=False).sentence.startswith(f"{apart} ")
 
 
 @pytest.mark.parametrize("errors", ["consistent", "overconfident", "insufficient data", "no reference"])

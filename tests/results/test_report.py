@@ -54,7 +54,7 @@ HEADERS = {
         "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples,why"
     ),
     "evidence": (
-        "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,word,p,why"
+        "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,verdict,p,why"
     ),
     "outage": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
     "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
@@ -179,7 +179,7 @@ def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
 
 def test_no_gain_is_next_to_a_filter_that_is_not_evaluated() -> None:
     judged = report()
-    aided = msgspec.structs.replace(judged.filters["aided"], improvement="not evaluated")
+    aided = msgspec.structs.replace(judged.filters["aided"], verdict="not evaluated")
     unjudged = msgspec.structs.replace(judged, filters={"aided": aided})
     assert glance_table(unjudged).rows[0][:5] == ("aided", "not evaluated", "-", "-", "-")
     assert heading(unjudged).endswith("aided: NOT EVALUATED")

@@ -48,7 +48,7 @@ max = 0.5
 name = "it is no worse"
 table = "filters"
 filter = "odometry"
-column = "improvement"
+column = "verdict"
 equals = "better"
 """
 

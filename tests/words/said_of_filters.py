@@ -18,14 +18,14 @@ CAUTIOUS = {"of_aided": "conservative", "of_baseline": "conservative"}
 CONFIDENT = {"of_aided": "overconfident"}
 JUDGED: tuple[tuple[tuple[Any, ...], dict[str, Any]], ...] = (
     ((["better"],), {}),
-    ((["better"], 40.0, (0.6, 0.5, 0.7)), {"honesty": "better"}),
-    ((["better"],), {"honesty": "worse"}),
+    ((["better"], 40.0, (0.6, 0.5, 0.7)), {"of_consistency": "better"}),
+    ((["better"],), {"of_consistency": "worse"}),
     ((["better"], -30.0), {}),
     ((["better"],), {"kind": "outage"}),
     ((["better"],), {"kind": "outage", "samples": 0}),
     ((["better"],), {"independent": False}),
-    ((["worse"], 40.0, (1.75, 1.5, 2.0)), {"honesty": "worse", **CONFIDENT}),
-    ((["worse"],), {"honesty": "better"}),
+    ((["worse"], 40.0, (1.75, 1.5, 2.0)), {"of_consistency": "worse", **CONFIDENT}),
+    ((["worse"],), {"of_consistency": "better"}),
     ((["better", "worse"],), {}),
     ((["equivalent"], 40.0, (1.0, 0.99, 1.01)), {"starts": 1}),
     ((["equivalent", "undecided", "equivalent", "undecided"],), {}),
@@ -46,7 +46,7 @@ JUDGED: tuple[tuple[tuple[Any, ...], dict[str, Any]], ...] = (
 def said_of_filters(_: Path) -> Cases:
     """Return the sentences of candidates, and of filters that are not evaluated."""
     for positional, named in JUDGED:
-        yield f"{positional} {named or ''}".rstrip(), judged(*positional, **named).verdict
+        yield f"{positional} {named or ''}".rstrip(), judged(*positional, **named).sentence
     many = history("many", np.full(100, 3.0), np.arange(100) >= 11)
     lost = history("lost", np.full(300, 3.0))
     lost = replace(lost, innovations=(replace(lost.innovations[0], gate=25.9, reopened=np.arange(300) < 4),))

@@ -97,7 +97,7 @@ def said_of_gates(folder: Path) -> Cases:
 
 
 def of_cells() -> Cases:
-    unjudged, lost, empty = stored(improvement="not evaluated"), stored(), stored()
+    unjudged, lost, empty = stored(filter_verdict="not evaluated"), stored(), stored()
     part, less, without_dof = stored(), stored(), stored()
     part.tables["reference_error"][0]["status"] = "partly covered"
     empty.tables["improvement"][0]["sd"] = None

@@ -95,8 +95,8 @@ def of_comparisons(folder: Path) -> Cases:
 def of_verdicts(folder: Path) -> Cases:
     """Return what is said first of two sets, and in brief."""
     for name, words in {"one": "worse", "two": "worse", "three": "better"}.items():
-        write(folder / "before" / name, content(name, improvement="better", prediction="confirmed"))
-        new = content(name, improvement=words, prediction="undecided", rmse=0.5, window=5, sha256=f"another {name}")
+        write(folder / "before" / name, content(name, filter_verdict="better", prediction="confirmed"))
+        new = content(name, filter_verdict=words, prediction="undecided", rmse=0.5, window=5, sha256=f"another {name}")
         new["config"] |= {f"key{number}": number for number in range(20)}
         write(folder / "after" / name, new)
     write(folder / "before" / "four", content("four"))
