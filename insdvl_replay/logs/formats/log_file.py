@@ -32,6 +32,7 @@ from insdvl_replay.core.words import Severity
 Span = tuple[int, int]  # first and last log time, ns
 COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 LARGEST_CHUNK: Final = 1 << 30  # bytes to which a chunk may open; recorders write some megabytes
+MOST_OF_A_CUT_CHUNK: Final = 1 << 27  # more of one that lacks its end is not looked at
 _USUAL_SIZE: Final = 64 << 20
 _MOST_COMPRESSED: Final = 256  # larger chunks are believed only if they are compressed less densely than this
 _SHOWN: Final = 3  # damaged places that a note lists
@@ -164,7 +165,7 @@ def opened(
     """
     room = min(most_opened(len(data)), LARGEST_CHUNK)
     if is_cut:
-        size = min(size, room) if size else room
+        size = min(size or room, room, MOST_OF_A_CUT_CHUNK)
     elif compression and size > room:
         raise DamageError(offset, f"a chunk of {len(data)} compressed bytes says it opens to {size}")
     try:
