@@ -11,7 +11,8 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
     """A report.json of one candidate with two states, a quantity and a measurement.
 
     `changes` go to the cells of their name: ``sd``, ``rmse``, ``final``, ``mean_nis``, ``reached_s``, ``verdict``,
-    ``filter``, ``sha256``, ``window``, ``filter_verdict``, ``prediction`` and ``evidence_verdict``; ``ba_x_sd`` goes to one row alone.
+    ``filter``, ``sha256``, ``window``, ``filter_verdict``, ``prediction`` and ``evidence_verdict``; ``ba_x_sd`` goes
+    to one row alone.
     """
     filter_ = changes.get("filter", "aided")
     row = {"log": name, "filter": filter_}

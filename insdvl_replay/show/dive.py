@@ -69,7 +69,7 @@ SPECIFIED: Final = (
 )
 """What the numbers of the headline are."""
 MEANS: Final = (
-    "measured: how much smaller the error is by the first piece of evidence; believed: mean over nine states, by the "
+    "measured: how much smaller the error is by the first piece of evidence; predicted: mean over nine states, by the "
     "filter's own covariance"
 )
 """What is in the columns of candidates."""
@@ -378,7 +378,7 @@ def heading(report: Report) -> str:
         word = candidate.verdict.upper() if loud else candidate.verdict
         if candidate.verdict != Verdict.NOT_EVALUATED:
             prediction = f", {candidate.prediction}" if candidate.prediction != Prediction.UNDECIDED else ""
-            word = f"{word}; {percent(candidate.mean_improvement_pct)} believed{prediction}"
+            word = f"{word}; {percent(candidate.mean_improvement_pct)} predicted{prediction}"
         texts.append(f"{name}: {word}")
     return "; ".join(texts)
 
@@ -392,7 +392,7 @@ def closing_lines(report: Report) -> tuple[str, ...]:
     """State for each candidate what its mean improvement is, and whose opinion that is."""
     consistency_words = "reference error and consistency" if has_reference(report) else "outage and consistency"
     return tuple(
-        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (believed by the filter's "
+        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (predicted by the filter's "
         f"own covariance; see {consistency_words}), "
         f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner "
         f"({percent(means.mean_convergence_unchanged_pct)} without any change; by the nearest approach "

@@ -192,9 +192,7 @@ def test_every_word_on_a_filter_is_on_the_screen(verdict: Verdict) -> None:
     text = rendered(list(dive_screen(judged("dive", verdict), "report.html")))
     line = next(line for line in text.split("\n") if line.startswith("aided against baseline: "))
     assert line.partition(": ")[2].lower() == verdict
-    assert ("it believes in" in text) == (verdict != Verdict.NOT_EVALUATED), (
-        "nothing is believed of what is not evaluated"
-    )
+    assert ("predicted:" in text) == (verdict != Verdict.NOT_EVALUATED), "nothing is believed of what is not evaluated"
 
 
 def test_words_come_from_the_enums() -> None:

@@ -114,11 +114,11 @@ def test_an_empty_sequence_is_not_aligned_as_rosbags_writes_it() -> None:
     store, definitions = get_typestore(Stores.EMPTY), parse_definitions(TYPE, text)
     store.register(get_types_from_msg(text, TYPE))
     for values in ([], [1.5, -2.0]):
-        message = store.types[TYPE](values=np.array(values), between=9, verdict="abc", number=0.25)
+        message = store.types[TYPE](values=np.array(values), between=9, word="abc", number=0.25)
         data = bytes(store.serialize_cdr(message, TYPE))
         layout = message_layout(definitions, TYPE, data)
         [row] = np.frombuffer(data, layout.dtype, count=1)
-        assert (row["between"], row["verdict"], row["number"], row["values"].tolist()) == (9, b"abc", 0.25, values)
+        assert (row["between"], row["word"], row["number"], row["values"].tolist()) == (9, b"abc", 0.25, values)
 
 
 def test_layout_for_texts_makes_room_for_them() -> None:

@@ -89,7 +89,7 @@ def test_a_class_is_certain_if_the_intervals_allow_for_no_other(drift: Ratio, ve
 
 
 def test_whole_groups_of_eight_dives_are_pooled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(judge, "pooled_word", lambda _, evidence: f"{evidence[0]} to {evidence[-1]}")
+    monkeypatch.setattr(judge, "pooled_verdict_word", lambda _, evidence: f"{evidence[0]} to {evidence[-1]}")
     dives = [JudgedDive(0, {"aided": "better"}, {"aided": dive}, {}, None) for dive in range(20)]
     (found,) = evaluated_candidates(dives, "reference")
     assert found.pooled == Counter(["0 to 7", "8 to 15"])

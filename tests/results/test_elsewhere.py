@@ -132,7 +132,7 @@ def test_every_path_of_the_foxglove_layout_is_a_number_of_a_replay(messages: dic
 def test_every_panel_of_the_foxglove_layout_is_on_one_tab() -> None:
     layout = json.loads((LAYOUTS / "foxglove.json").read_text("utf-8"))
     tabs = layout["configById"][layout["layout"]]["tabs"]
-    assert [tab["title"] for tab in tabs] == ["prediction", "error", "innovation", "motion"]
+    assert [tab["title"] for tab in tabs] == ["predicted", "error", "innovation", "motion"]
     shown = [panel for tab in tabs for panel in leaves(tab["layout"])]
     assert sorted([*shown, layout["layout"]]) == sorted(layout["configById"])
 

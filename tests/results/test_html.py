@@ -92,7 +92,7 @@ def test_every_plot_is_there_with_a_line_for_each_filter(result: tuple[Document,
 
 def test_predicted_is_next_to_measured_where_both_are_known(result: tuple[Document, Report, bytes]) -> None:
     document, report, _ = result
-    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelievedmeasured"))
+    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitypredictedmeasured"))
     measured = {row.quantity: row.ratio for row in report.tables.evidence if row.evidence in ("accuracy", "outage")}
     predicted = {row.state: row.improvement_pct for row in report.tables.improvement}
     level_pct, drift_pct = (100.0 * (1.0 - finite(measured[name])) for name in ("level", "drift_30s"))
@@ -202,7 +202,7 @@ def test_a_dive_without_a_reference_has_a_page_of_outage_consistency_and_predict
     assert not {title for title in titles if title.startswith(("position error", "level"))}
     assert data.decode().count(NO_REFERENCE) == 1
     assert NO_REFERENCE.lower() not in report.filters["aided"].sentence.lower()
-    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitybelieved"))
+    (bars,) = (text for text in document.texts["table"] if text.startswith("quantitypredicted"))
     assert "mean / DVL outage 30 s" in bars
     assert glance_table(report).rows[0][0] in document.texts["td"]
     assert report.tables.drift == report.tables.track_fit == []
