@@ -22,6 +22,7 @@ numbers = st.none() | st.floats(-1e6, 1e6).filter(lambda value: value == 0.0 or 
         (2.0, 1.0, "sd", "lower", -50.0, "better"),
         (2.0, 2.5, "sd", "lower", 25.0, "worse"),
         (2.0, 2.5, "share", "higher", 25.0, "better"),
+        (-2.0, -2.5, "share", "higher", -25.0, "worse"),
         (40.0, 38.0, "improvement_pct", "higher", -2.0, "worse"),
         (0.1, 0.05, "improvement_pct", "higher", -0.05, "same"),
         (-0.2, 0.1, "final", "nearer zero", -50.0, "better"),

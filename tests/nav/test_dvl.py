@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from insdvl_replay.core.dive_columns import DvlColumns, Floats
 from insdvl_replay.geometry.frames import DvlMounting, beam_vectors, solve_beams
-from insdvl_replay.nav.dvl import derivative_weights, dvl_velocities, slope_windows, windowed_sum
+from insdvl_replay.nav.dvl import derivative_weights, dvl_beams, dvl_velocities, slope_windows, windowed_sum
 
 REPEATABLE = settings(derandomize=True, deadline=None)
 SEEDS = st.integers(0, 10_000)
@@ -49,6 +49,14 @@ def test_velocity_to_beams_to_velocity(
         assert np.isnan(residual).all(), "three beams leave nothing over to check with"
     else:
         np.testing.assert_allclose(residual, 0.0, atol=1e-10)
+
+
+def test_beams_and_velocities_are_divided_by_the_scale() -> None:
+    measured, mounting = pings(1.02 * np.tile(JANUS @ VELOCITY_D, (3, 1))), DvlMounting(scale=1.02)
+    beams = dvl_beams(measured, mounting, -1, 3 * SECOND)
+    assert beams is not None
+    np.testing.assert_allclose(beams.beam_velocity_mps, np.tile(JANUS @ VELOCITY_D, (3, 1)), rtol=1e-12)
+    np.testing.assert_allclose(dvl_velocities(measured, mounting).velocity_b, np.tile(VELOCITY_D, (3, 1)), rtol=1e-12)
 
 
 def test_one_lost_beam_leaves_the_velocity_and_takes_the_check() -> None:
