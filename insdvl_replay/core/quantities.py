@@ -106,7 +106,7 @@ DRIFT_QUANTITIES: Final = {
 TRACK_FIT_QUANTITIES: Final = {"scale": "%", "turn": "deg"}  # Rows of the track fit and their units.
 OUTAGE_WINDOWS_S: Final = ("30", "60", "120", "300")  # Lengths for which the DVL is withheld.
 _OUTAGE: Final = tuple(f"outage_{window}s" for window in OUTAGE_WINDOWS_S)
-# Errors whose convergence is measured, and how `errors.squared_errors` names them.
+# Errors whose convergence is measured, and how `reference_errors.squared_errors` names them.
 CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_d"}
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 # Differences from sensors that are withheld.

@@ -53,7 +53,7 @@ NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingPr
 
 
 def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict[str, MeasuredConvergence]:
-    """Compare the convergence of two filters from the same starts, by quantity of `errors.squared_errors`.
+    """Compare the convergence of two filters from the same starts, by quantity of `reference_errors.squared_errors`.
 
     Those of `quantities.CONVERGED` have intervals. Empty where fewer than two starts were drawn. The dive's own start
     is left out, since it lacks the errors that are to fall; so is the position, of which no measurement tells.

@@ -1,4 +1,5 @@
-"""The evidence on each candidate next to the baseline: what was measured, its interval, and a word (`series.word_of`).
+"""The evidence on each candidate next to the baseline: what was measured, its interval, and a verdict
+(`series.verdict_of_interval`).
 
 Both filters ran on the same dive, so that everything is paired. *Accuracy* is against the reference, from the same
 drawn starts; *outage* while the DVL is withheld; *held_out* by other sensors that no filter is given;

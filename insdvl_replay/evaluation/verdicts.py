@@ -90,7 +90,10 @@ P = TypeVar("P", bound=Piece)
 
 
 def verdict_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Verdict:
-    """Return what the evidence on one candidate says together: better in something and worse in nothing, and so on."""
+    """Return what the evidence on one candidate says together.
+
+    Better in something and worse in nothing; mixed if both; else what the first row says.
+    """
     words = [row.verdict for row in rows if row.quantity in deciding]
     better, worse = EvidenceVerdict.BETTER in words, EvidenceVerdict.WORSE in words
     if better or worse:

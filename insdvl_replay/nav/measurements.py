@@ -170,7 +170,7 @@ class InsNow(NamedTuple):
     specific_force_b: Vector  # compensated reading, m/s^2
     memory: Memory
     gravity: float  # m/s^2
-    lever_arm_b: Vector  # IMU to DVL, m; the one place at which it enters the filter
+    lever_arm_b: Vector  # IMU to DVL, m: enters z and H here, R in `Gaps.swing_cov`, the start in `levelling`
     earth: LocalEarth
     rate_eb_b: Vector  # angular rate of the body against the Earth, rad/s
     constants: Floats  # (c,), values of the sensors' constants, in the order of their states
