@@ -1,4 +1,4 @@
-"""Whether a DVL can be what its log says: in its unit, alive, and moving as the reference does.
+"""Checks of a DVL: its unit, constant values, and its velocity against the reference's.
 
 Horizontal vectors are complex numbers: forward or north, plus i times starboard or east.
 """

@@ -1,4 +1,4 @@
-"""Whether an IMU can be what its log says: fast enough, alive, feeling gravity, and turning as others see it."""
+"""Checks of an IMU: its rate, stuck readings, gravity, and its turns against other sources."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from insdvl_replay.geometry.rotation import vector_from_mat
 
 AXES: Final = ("forward", "starboard", "down")
 ENOUGH: Final = 20  # fewer pairs may agree by chance
-LONGEST_STEP_S: Final = 2.5  # nobody saw what happened in a longer step
+LONGEST_STEP_S: Final = 2.5  # longer steps are not used
 SPIN_RADPS: Final = 1.0  # no vehicle that a DVL can follow turns faster than this half of the time
 
 _LEAST_S: Final = 2.0  # a shorter log is no reason to refuse it
@@ -51,7 +51,7 @@ def samples_in(imu: ImuColumns, length_s: float) -> int:
 
 
 def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
-    """Find which times lie between the first and the last of others, which are in order."""
+    """Find which times are between the first and the last of others, which are in order."""
     return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))
 
 
@@ -118,7 +118,7 @@ def _gravity_remarks(
     size = float(np.median(sizes))
     ratio = size / gravity
     if not ratio:
-        cure = 'imu.specific_force = "field.path" names another field'
+        cure = 'to read another field: imu.specific_force = "field.path"'
     elif unit := next((unit for wrong, unit in _UNIT_BY_RATIO if abs(ratio / wrong - 1.0) < 0.1), None):
         cure = f'imu.specific_force_unit = "{unit}"'
     else:

@@ -1,4 +1,4 @@
-"""Whether a reference can be what its log says, and what it shows about gyros and DVL; all checks together.
+"""Checks of a reference, and of gyros and DVL against it; all checks together.
 
 Where a reference has positions alone, they are compared with the track that gyros and DVL make together.
 """
@@ -103,12 +103,10 @@ def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFi
     if by_attitude is not None and abs(by_attitude.correlation) > COHERENT:
         return GyroScale(by_attitude.scale, "the reference's attitude", 1.0 + LARGEST_SCALE_ERROR)
     if track is not None and track.gyro_scale is not None and track.coherence > COHERENT:
-        return GyroScale(
-            track.gyro_scale, "the DVL's track against the reference's positions", 1.0 + LARGEST_TRACK_ERROR
-        )
+        return GyroScale(track.gyro_scale, "the DVL's track and the reference's positions", 1.0 + LARGEST_TRACK_ERROR)
     # In a moving vehicle, the direction of gravity swings with its own acceleration.
     by_gravity = gyro_by_gravity(imu)
-    return GyroScale(by_gravity, "the swing of gravity", 1.7) if by_gravity is not None else None
+    return GyroScale(by_gravity, "gravity's change of direction", 1.7) if by_gravity is not None else None
 
 
 def _gyro_remarks(
@@ -177,7 +175,7 @@ def says_anything(reference: ReferenceColumns) -> bool:
 def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:
     found = []
     if median_speed_mps(dvl) > 0.1:  # beyond its noise
-        doing = "the DVL measures a speed"
+        doing = "the DVL measures a velocity"
         # A velocity may be constant, but not zero.
         velocities = reference.velocity_n[reference.known["velocities"]]
         found += [("position", doing)] if _is_constant(reference.position[:, :2]) else []
@@ -185,7 +183,7 @@ def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
     if _is_constant(reference.mat_nb.reshape(-1, 9)):
         turned = turned_by(imu, seconds(imu.time_ns, imu.time_ns[0]), LONGEST_STEP_S)
         if np.ptp(turned, axis=0).max() > 30.0 * DEG:  # beyond the gyros' bias and Earth's rate
-            found.append(("attitude", "the gyros show turns"))
+            found.append(("attitude", "the gyros measure turns"))
     for quantity, doing in found:
         yield warning("reference_constant", len(reference.time_ns), quantity=quantity, doing=doing)
 
@@ -216,7 +214,7 @@ def legs_m(steps: Steps) -> tuple[Complex, Complex]:
 
 
 def velocity_misfit(reference: ReferenceColumns) -> float | None:
-    """Return the share of the way by which velocity and positions differ over legs; None where they tell nothing."""
+    """Return the share of the distance by which velocity and positions differ over legs; None if undetermined."""
     by_position_m, by_velocity_m = legs_m(steps_of(reference))
     if len(by_position_m) < 4 or np.abs(by_position_m).sum() < 20.0:
         return None
@@ -240,8 +238,8 @@ def _scale_notes(reference: ReferenceColumns) -> Iterator[Note]:
     scale_sd = float(np.linalg.norm((by_velocity_m.conj() * (by_position_m - scale * by_velocity_m)).real)) / power
     # Fewer than ten legs do not tell how they scatter.
     if len(by_position_m) >= 10 and max(scale - 1.0, 1.0 - at_most) >= max(0.003, 3.0 * scale_sd):
-        off_pct, sd_pct, way = 100.0 * abs(scale - 1.0), 100.0 * scale_sd, "further" if scale > 1.0 else "less far"
-        yield warning("reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, way=way)
+        off_pct, sd_pct, longer = 100.0 * abs(scale - 1.0), 100.0 * scale_sd, "longer" if scale > 1.0 else "shorter"
+        yield warning("reference_scale", len(by_position_m), off_pct=off_pct, sd_pct=sd_pct, longer=longer)
 
 
 def _jump_notes(

@@ -1,6 +1,6 @@
-"""Whether the other sensors and the onboard solutions tell anything of their own, in the units of the settings.
+"""Checks of the other sensors and of the onboard solutions, in the units of the settings.
 
-A sensor that is stuck tells nothing, nor does one whose readings the reference is made of.
+They find stuck sensors, and sensors and solutions whose values are the reference's own.
 """
 
 from collections.abc import Iterator, Mapping
@@ -27,7 +27,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, wrap_angle
 
-_SHARED: Final = 0.5  # so many of a sensor's readings are in the reference by no accident
+_SHARED: Final = 0.5  # more than this share of a sensor's readings cannot be in the reference by chance
 _SAME_RAD: Final = 1e-9  # readings that differ by less come from one message: 6 mm of latitude
 
 

@@ -1,6 +1,6 @@
-"""What the messages of a log show: clocks, pings and plausibility of each role, and the fields of unknown types.
+"""Clocks, pings and plausibility of each role of a log, and the fields of unknown types.
 
-Where a dive is read, the first error ends the work; here each is kept, and the rest is looked at too.
+Reading a dive stops at the first error. Here each error is kept, and the rest is checked too.
 """
 
 import re
@@ -36,15 +36,15 @@ from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_not
 _ENOUGH: Final = 1000  # messages of a topic that show its clock and its units
 _ENOUGH_OF_OTHERS: Final = 10
 _MEASURED: Final = re.compile(r"(scale|heading_deg|mounting_rpy_deg) = ")
-_LOOK_DEEPER: Final = "`inspect --deep` measures by how much; the first messages only show that something is off"
-_LOOK_FURTHER: Final = "`inspect --deep` reads all messages and tells whether it is so"
+_LOOK_DEEPER: Final = "to measure the value on all messages: `inspect --deep`"
+_LOOK_FURTHER: Final = "to check all messages: `inspect --deep`"
 
 OnError = Callable[[UserError], None]  # what is done about an error that would end a replay
 
 
 @contextmanager
 def errors_to(on_error: OnError) -> Iterator[None]:
-    """Keep an error that arises inside, and go on behind it."""
+    """Hand an error that is raised inside to a function, and continue after the block."""
     try:
         yield
     except UserError as error:
@@ -88,7 +88,7 @@ class DryRun:
             if tables and finding.role != "truth":
                 with errors_to(partial(self._not_decoded, finding.role)):
                     self._decode(finding.role, tables)
-            # What is wrong with one of several topics is no obstacle yet.
+            # A fault of one of several topics is not a blocker yet.
             for source in finding.candidates:
                 warn = partial(self._warn_of, source.topic)
                 with errors_to(warn):
@@ -98,7 +98,7 @@ class DryRun:
                     elif source.role == "reference":
                         columns, _ = decode_reference([table], self.config.reference, self.config.initial)
                         if columns is not None and not says_anything(columns):
-                            text = "has neither an attitude nor a velocity that is not zero in all messages"
+                            text = "has no attitude, and its velocity is zero in all messages"
                             raise LogError(text, "", *table.where)
                     if own_clocks and own_clocks[0].role == "imu":
                         self.columns.clock_notes([own_clocks[0], self.clocks[-1]])
@@ -171,7 +171,7 @@ class DryRun:
             self._add_blocker(error)
             return
         # The first pings may be made in air and the first fixes without sky: this says nothing of the rest.
-        text = f"by the first messages alone a replay would stop: {error.inside(self.log.path)}"
+        text = f"the first messages would stop a replay: {error.inside(self.log.path)}"
         self.notes.append(Note("first_messages", text, 1, Severity.WARNING, _LOOK_FURTHER))
 
     def _remarks(self, imu: ImuColumns) -> Iterator[Remark]:

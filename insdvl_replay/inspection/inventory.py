@@ -121,7 +121,7 @@ _FOLDED: Final = 16  # letters of a type's name that a narrow terminal folds bef
 _MOST_TOPICS: Final = 100  # more are folded: recorders that write each field of each message as a topic make thousands
 _LEAST_FOLDED: Final = 4
 _MOST_EMPTY: Final = 40
-_PROPOSAL: Final = "To start from, as a file for -c; the comments say what was seen and what is to decide:"
+_PROPOSAL: Final = "Proposed settings, a file for -c. The comments give the reasons and what to decide:"
 
 
 def inspection_result(inventory: Inventory) -> Result:
@@ -139,12 +139,12 @@ def inspection_result(inventory: Inventory) -> Result:
         f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {chunks}",
     ]
     if log.start_utc is not None:
-        parts.append(f"{log.duration_s:.1f} s from {log.start_utc} by the recorder's clock")
+        parts.append(f"{log.duration_s:.1f} s from {log.start_utc} (recorder's clock)")
     for kind, names in (("metadata", log.metadata), ("attachments", log.attachments)):
         parts += [f"{kind}: {', '.join(names)}"] if names else []
     parts += inventory_tables(inventory)
 
-    # What was seen of pings and reference, every note, every obstacle, and last whether it can be replayed.
+    # Pings and reference, every note, every blocker, and last whether the log can be replayed.
     found: list[Remark] = []
     if (pings := inventory.pings) is not None:
         announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
@@ -157,27 +157,27 @@ def inspection_result(inventory: Inventory) -> Result:
         found.append(Remark(f"dvl: {pings.pings} usable pings in {messages}{repeated}{rate}; {beams}"))
     if (reference := inventory.reference) is not None:
         text = (
-            f"reference: {reference.rows} rows; part of the IMU's time between first and last row: "
+            f"reference: {reference.rows} rows; share of the IMU's time between first and last row: "
             f"position {reference.position_pct:.0f} %, velocity {reference.velocity_pct:.0f} %, "
             f"attitude {reference.attitude_pct:.0f} %"
         )
         found.append(Remark(text))
     found += [Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes]
-    found += [Remark(f"stops a replay: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
+    found += [Remark(f"blocker: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
     verdict = "can be replayed"
     if count := len(inventory.blockers):
-        verdict = f"cannot be replayed as it is: {count} {'thing' if count == 1 else 'things'} to settle first"
+        verdict = f"cannot be replayed: {count} {'blocker' if count == 1 else 'blockers'}"
     elif inventory.reading == Reading.SAMPLE:
-        verdict = "nothing seen that would stop a replay; --deep reads the messages whole"
+        verdict = "no blocker in the first messages; --deep reads all messages"
     parts.append(Sentences((*found, Remark(verdict))))
 
     # What the proposed settings leave open.
     if inventory.configuration:
-        left = [Remark(f"to decide in it: {', '.join(inventory.decisions)}")] if inventory.decisions else []
+        left = [Remark(f"to decide: {', '.join(inventory.decisions)}")] if inventory.decisions else []
         for blocker in inventory.remaining:
             hint = "" if blocker in inventory.blockers else blocker.hint
-            left.append(Remark(f"stops a replay with it too: {blocker.message}", hint))
-        left = left or [Remark("nothing is left open in it")]
+            left.append(Remark(f"blocker with these settings too: {blocker.message}", hint))
+        left = left or [Remark("nothing to decide")]
         proposal = (Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), Sentences(tuple(left)))
         parts.append(Only(("terminal", "markdown"), proposal))
     return Result("inspection", log.name, document=parts, data=inventory)
@@ -186,8 +186,8 @@ def inspection_result(inventory: Inventory) -> Result:
 def inventory_csv(inventory: Inventory) -> str:
     """Write what is known of a log as tables one after the other.
 
-    Several logs can be laid together, by the column ``log``. Between several values in a cell stands ``; ``. Tables
-    without rows are left out, and so are proposed settings, which are none.
+    The column ``log`` allows to join the tables of several logs. Several values in a cell are separated by ``; ``.
+    Tables without rows are left out, and so are the proposed settings.
     """
     known, name = asdict(inventory), inventory.log.name
     tables: dict[str, list[dict[str, Any]]] = {
@@ -223,7 +223,7 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
         ),
     )
     conventions = DisplayTable(
-        "Conventions: what the type of a topic says where the configuration does not",
+        "Conventions: defaults from the type of the topic",
         ("topic", "key and value"),
         "ll",
         tuple(
@@ -233,7 +233,7 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
     )
     empty = [topic.topic for topic in inventory.topics if not topic.messages]
     topics = DisplayTable(
-        "Topics: rate, longest gap and span by the times of recording",
+        "Topics: rate, longest gap and span by log time",
         ("topic\n  type, encoding", "role", "messages", "rate\n[Hz]", "gap\n[s]", "from\n[s]", "to\n[s]"),
         "llrrrrr",
         tuple(_topic_rows([topic for topic in inventory.topics if topic.messages])),
@@ -243,7 +243,7 @@ def inventory_tables(inventory: Inventory) -> list[DisplayTable]:
     )
     messages = {topic.topic: topic.messages for topic in inventory.topics}
     clocks = table_of(
-        "Clocks: log time minus stamp, by the first messages",
+        "Clocks: log time minus stamp, in the first messages",
         inventory.clocks,
         (
             ("topic", "l", "topic"),

@@ -1,11 +1,10 @@
 """Settings to start from, for a log that cannot be replayed as it is.
 
-In three steps, each of which reads with what the one before has found: who plays which role, with which fields and
-stamps; what units and axes those show; and whether their clocks agree. What then stops a replay is said too.
+There are three steps. Each one reads the log with the findings of the step before: the topic, fields and stamp of each
+role; their units and axes; whether their clocks agree. Blockers that remain are reported too.
 
-Each setting has what was seen, what else could be meant, and whether a person must decide. A key whose value only a
-person can know stands as a comment; every other has the likeliest value, so that a proposal is a file that can be used
-as it is.
+Each setting has the observation behind it, the alternatives, and whether a person must decide. A key whose value only
+a person can know is a comment. Every other key has the likeliest value, so the proposal can be used as it is.
 """
 
 import re
@@ -70,12 +69,12 @@ class Setting:
     value: Any  # None where only a person can know it
     seen: str = ""  # what speaks for the value
     open: str = ""  # what there is to decide; empty where what was seen settles it
-    others: tuple[str, ...] = ()  # TOML lines that could stand in its place, with what was seen behind ``  # ``
+    others: tuple[str, ...] = ()  # alternative TOML lines, with what was seen behind ``  # ``
     listed: tuple[str, ...] = ()  # what there is to choose from, line by line
 
     @property
     def section(self) -> str:
-        """Name of the table in which it stands."""
+        """Name of its table."""
         return self.key.rpartition(".")[0]
 
     @property
@@ -144,7 +143,7 @@ def comment_lines(text: str) -> list[str]:
 
 
 def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> Setting:
-    """Propose the first of some fields, with the others as what could stand in its place."""
+    """Propose the first of some fields, with the others as alternatives."""
     first, *others = candidates
     name = key.partition(".")[2]
     return Setting(
@@ -162,11 +161,11 @@ _MOST_SPREAD: Final = 0.05
 
 
 def _apart(clock: Clock) -> str:
-    return f"log time minus stamp is {clock.log_minus_stamp_s:.3f} s in the median"
+    return f"log time minus stamp is {clock.log_minus_stamp_s:.3f} s (median)"
 
 
 def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Setting:
-    """Propose what stamps the messages of a topic: a field that keeps step with the recorder's clock."""
+    """Propose the stamp of a topic: a field that agrees with the recorder's clock."""
     clocks: list[tuple[Clock, str]] = []
     times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
     named = [path for path in seen.scalars if _CLOCK_NAMES.search(path.rpartition(".")[2].lower())]
@@ -181,10 +180,10 @@ def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Setting:
                 numbers = table.stamp_numbers
                 clocks.append((clock, "" if numbers is None else f", read as {stamp_unit(numbers, recorded)[1]},"))
     if not clocks:
-        text = "no field of the messages keeps step with the recorder's clock"
+        text = "no field of the messages agrees with the recorder's clock"
         return Setting(f"{role}.stamp", "log_time", text)
     (clock, unit), *others = clocks
-    text = f"'{stamp_path(clock.stamp)}'{unit} keeps step with the recorder's clock: {_apart(clock)}"
+    text = f"'{stamp_path(clock.stamp)}'{unit} agrees with the recorder's clock: {_apart(clock)}"
     lines = tuple(f'stamp = "{other.stamp}"' for other, _ in others)
     return Setting(f"{role}.stamp", clock.stamp, text, others=lines)
 
@@ -201,10 +200,10 @@ def _recorder_stamps(
         try:
             clock_notes(str(log.path), clocks, config.clocks.max_disagreement_s)
         except LogError:
-            why = "the clocks of the roles have nothing to do with each other"
+            why = "the clocks of the roles are unrelated"
     own = {clock.role: clock for clock in clocks if clock.role in (*PROPOSED, *SENSORS)}
     for role, clock in own.items() if why else ():
-        yield Setting(f"{role}.stamp", "log_time", f"{why}; that of {clock.topic}: {_apart(clock)}")
+        yield Setting(f"{role}.stamp", "log_time", f"{why}; {clock.topic}: {_apart(clock)}")
 
 
 # --- The IMU: topic and fields by their names, units and axes by gravity and the reference.
@@ -214,7 +213,7 @@ _RATE_CLEARLY: Final = 0.02
 _TURNED: Final = 2.0 * DEG
 _FOLLOWS: Final = 0.8
 _AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
-_RATE_UNITS_OPEN: Final = "rad/s or deg/s, which the maker says"
+_RATE_UNITS_OPEN: Final = "rad/s or deg/s, see the data sheet"
 
 
 def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
@@ -233,11 +232,11 @@ def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
     yield Setting("imu.topic", topic.topic)
     yield _fields("imu.specific_force", forces)
     if force.force_unit:
-        yield Setting("imu.specific_force_unit", force.force_unit, "gravity has this size in it")
+        yield Setting("imu.specific_force_unit", force.force_unit, "gravity has this size in this unit")
     else:
-        text = f"{', '.join(SPECIFIC_FORCE_UNITS)}; gravity would be 9.81, 1 or 1000, and the size is {force.size:.3g}"
+        text = f"{', '.join(SPECIFIC_FORCE_UNITS)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
         yield Setting("imu.specific_force_unit", "m/s2", open=text)
-    yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named like it; this one or another")
+    yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named as an angular rate; check this one")
     yield _stamp(log, topic, "imu")
 
 
@@ -250,7 +249,7 @@ def _measured_imu(
     size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / SPECIFIC_FORCE_UNITS[read_in]
     units = fitting_units(size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
     if units and read_in not in units:
-        yield Setting("imu.specific_force_unit", units[0], f"the size is {size:.3g}, that of gravity in this unit")
+        yield Setting("imu.specific_force_unit", units[0], f"the size is {size:.3g}, which is gravity in this unit")
     if settings.axes is None and settings.specific_force_axes is None:
         yield from _imu_axes(imu, reference)
     # The unit of the rate.
@@ -262,21 +261,21 @@ def _measured_imu(
     sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
     median, largest = float(np.median(sizes)), float(sizes.max())
     if median > SPIN_RADPS:
-        yield Setting(key, "deg/s", f"{median:.3g} in the median, which no vehicle does in rad/s")
+        yield Setting(key, "deg/s", f"the median is {median:.3g}, too fast for a vehicle in rad/s")
     elif units and found is not None:
-        yield Setting(key, units[0], f"in it the rate fits {found.by}, which rules the other out")
+        yield Setting(key, units[0], f"in this unit the rate fits {found.by}, in the other it does not")
     else:
-        yield Setting(key, "rad/s", f"at most {largest:.3g} was seen, which tells no unit", _RATE_UNITS_OPEN)
+        yield Setting(key, "rad/s", f"the largest value is {largest:.3g}, possible in both units", _RATE_UNITS_OPEN)
 
 
 def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setting]:
     """Propose axes in which a level vehicle feels gravity, and the rate follows the reference's attitude."""
     force = np.median(imu.specific_force_b, axis=0)
     if not force.any():
-        yield Setting("imu.axes", None, open="the accelerometers feel nothing, so that nothing tells where down is")
+        yield Setting("imu.axes", None, open="the specific force is zero, so down cannot be determined")
         return
     strongest = int(np.argmax(np.abs(force)))
-    felt = f"gravity is felt along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
+    felt = f"the specific force is along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
     # Accelerometers may show the opposite of a force: sign is -1 then.
     upright, opposite = ([(axes, sign) for axes in _level_axes(sign * force)] for sign in (1.0, -1.0))
     possible = [upright[0], opposite[0], *upright[1:], *opposite[1:]]
@@ -296,21 +295,21 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
             following = [row for row, fit in turning if (fit.by_axis[fit.excursion > _TURNED] > _FOLLOWS).all()]
             rivals = following or rivals
         best = rivals[0]
-        seen = f"{felt}, and the angular rate follows the reference's attitude, correlation {scores.max():.3f}"
+        seen = f"{felt}, and the angular rate agrees with the reference's attitude (correlation {scores.max():.3f})"
         others = rivals[1:] if words[best][0] != "frd" else ()
     elif words[best][0] == "frd":
-        seen = f"{felt}, as forward-starboard-down has it"
+        seen = f"{felt}, as expected for forward-starboard-down"
     else:
-        seen, others = f"{felt}; a level vehicle must feel it along -z", range(1, 3)
+        seen, others = f"{felt}; in a level vehicle it must be along -z", range(1, 3)
     texts = []
     for rate, force_axes in (words[row] for row in others):
         beside = f' with specific_force_axes = "{force_axes}"' if force_axes != rate else ""
         texts.append(f'axes = "{rate}"{beside}')
-    built_in = f"the way the IMU is built in; it could also be {', or '.join(texts)}" if texts else ""
+    built_in = f"how the IMU is built in; it could also be {', or '.join(texts)}" if texts else ""
     rate, force_axes = words[best]
     yield Setting("imu.axes", rate, seen, built_in)
     if rate != force_axes:
-        yield Setting("imu.specific_force_axes", force_axes, "the accelerometers show the opposite of a force")
+        yield Setting("imu.specific_force_axes", force_axes, "the accelerometers have the opposite sign")
 
 
 def _level_axes(force: Floats) -> list[Floats]:
@@ -337,7 +336,7 @@ _SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0  # speeds over ground of a vehicle under 
 _CLOSE: Final = 1.5  # factor within which a comparison with the reference decides on a unit
 _DVL_COHERENT: Final = 0.97
 _DVL_CLEARLY: Final = 0.01
-_DVL_AXES_OPEN: Final = "frd, flu (port and up turned) or a signed permutation; the maker says which"
+_DVL_AXES_OPEN: Final = "frd, flu (y to port, z up) or a signed permutation; see the data sheet"
 
 
 def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
@@ -359,33 +358,33 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         units = fitting_units(velocity.size, VELOCITY_UNITS, _SLOWEST_MPS, _QUICKEST_MPS)
         best = units[0] if units else "m/s"
         what = "length of all beams' velocities" if velocity.is_beams else "speed"
-        seen = f"the median {what} is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s then"
+        seen = f"in this unit the median {what} is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s"
         if len(units) == 1:
-            yield Setting("dvl.velocity_unit", best, f"{seen}, and in no other unit a vehicle's")
+            yield Setting("dvl.velocity_unit", best, f"{seen}; in any other it is not a vehicle's")
         else:
-            yield Setting("dvl.velocity_unit", best, seen, f"the size leaves it open: {', '.join(VELOCITY_UNITS)}")
+            yield Setting("dvl.velocity_unit", best, seen, f"the size fits several units: {', '.join(VELOCITY_UNITS)}")
     if velocities:
         # What a good ping is named by can only be guessed.
         flagged = {path: median for path, median in topic.scalars.items() if _FLAGS.search(path.lower())}
         flags = " or ".join(f'"{path}" (median {median:g})' for path, median in flagged.items())
         if flags:
-            yield Setting("dvl.valid", None, open=f"whether {flags} is 0 where a ping is invalid")
+            yield Setting("dvl.valid", None, open=f"is {flags} 0 for an invalid ping?")
     if beams and velocities:
         # Until a person knows where the beams point, the velocity is the safer source.
         lines = ['kind = "beams"', *(f'beam_velocity = "{beam.path}"  # {beam}' for beam in beams)]
         lines += [f'beam_valid = "{flag.path}"' for flag in valid]
-        text = "beams, once their angles are known, give more: kind, beam_velocity, beam_valid, beam_tilt_deg"
+        text = "beams give more, if you know their angles: set kind, beam_velocity, beam_valid, beam_tilt_deg"
         yield Setting("dvl.kind", "velocity", text, others=tuple(lines))
     elif beams:
         count = beams[0].median.size
         azimuths = tuple(45.0 + 360.0 * beam / count for beam in range(count))
         yield _fields("dvl.beam_velocity", beams)
         yield from (Setting("dvl.beam_valid", flag.path) for flag in valid[:1])
-        yield Setting("dvl.beam_tilt_deg", 30.0, open="from the instrument's z axis, as the maker says")
-        yield Setting("dvl.beam_azimuth_deg", azimuths, open="from forward towards starboard, one angle for each beam")
+        yield Setting("dvl.beam_tilt_deg", 30.0, open="angle from the instrument's z axis, see the data sheet")
+        yield Setting("dvl.beam_azimuth_deg", azimuths, open="angles from forward towards starboard, one for each beam")
     yield _stamp(log, topic, "dvl")
-    yield Setting("dvl.lever_arm_m", (0.0, 0.0, 0.0), open="IMU to DVL, forward, starboard, down, as built")
-    yield Setting("dvl.mounting_rpy_deg", (0.0, 0.0, 0.0), open="DVL to body, roll, pitch, heading, as built")
+    yield Setting("dvl.lever_arm_m", (0.0, 0.0, 0.0), open="from IMU to DVL: forward, starboard, down; measure it")
+    yield Setting("dvl.mounting_rpy_deg", (0.0, 0.0, 0.0), open="DVL axes to body: roll, pitch, heading; measure them")
 
 
 def _measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> Iterator[Setting]:
@@ -400,19 +399,19 @@ def _measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: C
     }
     best = max(fits, key=lambda axes: fits[axes].coherence, default="frd")
     if not fits or fits[best].coherence < _DVL_COHERENT:
-        text = "there is no velocity to compare with that would tell the axes"
+        text = "the axes cannot be determined: no velocity to compare with"
         yield Setting("dvl.axes", "frd", text, _DVL_AXES_OPEN)
         return
     coherence, other = fits[best].coherence, min(fit.coherence for fit in fits.values())
     if coherence - other < _DVL_CLEARLY:
-        seen = f"with frd and with flu it follows the reference's velocity, coherence {other:.3f}"
+        seen = f"both frd and flu agree with the reference's velocity (coherence {other:.3f})"
         yield Setting("dvl.axes", best, seen, _DVL_AXES_OPEN)
     else:
-        seen = f"so it follows the reference's velocity, coherence {coherence:.3f} against {other:.3f}"
+        seen = f"so it agrees with the reference's velocity: coherence {coherence:.3f}, with the other axes {other:.3f}"
         yield Setting("dvl.axes", best, seen)
     scale = fits[best].scale / VELOCITY_UNITS[config.dvl.velocity_unit or "m/s"]
     for unit in fitting_units(scale, VELOCITY_UNITS, 1.0 / _CLOSE, _CLOSE):
-        text = f"its speed is then {scale * VELOCITY_UNITS[unit]:.3f} times the reference's"
+        text = f"in this unit the speed is {scale * VELOCITY_UNITS[unit]:.3f} times the reference's"
         yield Setting("dvl.velocity_unit", unit, text)
 
 
@@ -432,10 +431,10 @@ _ATTITUDE: Final = ("roll", "pitch", "heading")
 _NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
 _EAST_AND_DOWN: Final = {"n": ("e", "d"), "north": ("east", "down")}
 _FULL_CIRCLE: Final = 6.3  # no angle in radians is larger
-_FITS: Final = 0.1  # part of the way by which a velocity may miss the positions beside it
+_FITS: Final = 0.1  # share of the distance by which velocity and positions may differ
 _FITS_CLEARLY: Final = 0.3
 _MEANT: Final = (
-    "whether it is a solution to start from and to compare with; meant are roll starboard side down, pitch bow up and "
+    "is this a solution to start from and to compare with? Roll must be positive starboard side down, pitch bow up, "
     "heading from north over east"
 )
 
@@ -452,9 +451,9 @@ def _reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterat
     largest = max(abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in angles)
     key = "reference.angle_unit"
     if largest > _FULL_CIRCLE:
-        yield Setting(key, "deg", f"an angle of {largest:.3g} is none in radians")
+        yield Setting(key, "deg", f"an angle of {largest:.3g} cannot be in radians")
     else:
-        yield Setting(key, "deg", open=f"no angle is larger than {largest:.3g}: deg or rad")
+        yield Setting(key, "deg", open=f"deg or rad; the largest angle is {largest:.3g}")
     yield _stamp(log, topic, "reference")
 
 
@@ -479,14 +478,14 @@ def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
 
 
 def _measured_reference(log: Recording, source: Source, config: Config) -> Iterator[Setting]:
-    """Propose to take a velocity for one in the axes of the world, if only so it fits the positions beside it.
+    """Propose that a velocity is in the axes of the world, if only that fits the positions of the topic.
 
-    That of `nav_msgs/Odometry` is to be in the body, and Gazebo writes it otherwise.
+    `nav_msgs/Odometry` has it in the body by definition, but Gazebo writes it in the world.
     """
     if config.reference.velocity_n is not None or not {"velocity_b", "local_position"} <= source.fields.keys():
         return
     path = source.fields["velocity_b"]
-    # Where on Earth it is does not matter to the way between positions.
+    # The place on Earth does not matter for displacements.
     place = msgspec.structs.replace(config.initial, latitude_deg=config.initial.latitude_deg or 0.0)
     table = read_tables(log, [source])[0]
     misfits = []
@@ -498,8 +497,8 @@ def _measured_reference(log: Recording, source: Source, config: Config) -> Itera
     in_body, in_world = misfits
     if in_body is not None and in_world is not None and in_world <= min(_FITS, _FITS_CLEARLY * in_body):
         text = (
-            f"so it differs by {in_world:.1%} from the way between the positions; in the axes of the body, as its "
-            f"type has it, by {in_body:.0%}"
+            f"in the axes of the world it differs by {in_world:.1%} from the displacements of the positions; in the "
+            f"axes of the body, as its type defines it, by {in_body:.0%}"
         )
         yield Setting("reference.velocity_n", path, text)
 
@@ -558,8 +557,8 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
     last.examine(found)
     notes = []
     if unseen:
-        text = f"the log has so many fields that topics were not looked at for a proposal: {listed(unseen)}"
-        hint = "name the topic of each role in the configuration"
+        text = f"too many fields: these topics were ignored for the proposal: {listed(unseen)}"
+        hint = "set the topic of each role: imu.topic, dvl.topic, reference.topic"
         notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
     return Proposal(tuple(settings), tuple(last.blockers), tuple(notes))
 
@@ -576,10 +575,10 @@ def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:
             first, *others = sorted(topics, key=lambda topic: (topic in seen.refused, topic in seen.warned))
             key = f"{finding.role}.topic"
             if first not in seen.refused and all(topic in seen.refused for topic in others):
-                yield Setting(key, first, "; ".join(f"{topic} cannot be it: {seen.refused[topic]}" for topic in others))
+                yield Setting(key, first, "; ".join(f"not {topic}: {seen.refused[topic]}" for topic in others))
             else:
                 lines = tuple(f"topic = {toml_value(topic)}" for topic in others)
-                yield Setting(key, first, open="each of these could be it", others=lines)
+                yield Setting(key, first, open="each of these is possible", others=lines)
 
 
 def _unknown_topics(log: Recording, findings: Sequence[Finding], config: Config) -> tuple[list[Setting], Sequence[str]]:
@@ -617,10 +616,10 @@ def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> It
         lines += [f'  "{path}", median {median:.3g}' for path, median in topic.scalars.items()]
     if (more := len(often) - _LONGEST) > 0:
         lines.append(f"and {more} topics with fewer messages")
-    text = "no topic has fields that are named like those of this role; the topics with numbers, and their fields, are"
+    text = "no topic has fields with the names of this role; all topics with numbers, and their fields:"
     yield Setting(f"{role}.topic", None, open=text, listed=tuple(lines))
     for quantity in needed:
-        text = 'one of three numbers, or three side by side as in "p, q, r"'
+        text = 'a field of three numbers, or three fields such as "p, q, r"'
         others = ("beam_velocity =  # one number for each beam",) if quantity == "velocity" else ()
         yield Setting(f"{role}.{quantity}", None, open=text, others=others)
 
@@ -645,7 +644,7 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
         scale = gyro_scale(replace(imu, angular_rate_b=rate_b), dvl, reference, config) if deep else None
         is_measured = scale is not None and scale.tolerance <= 1.0 + LARGEST_TRACK_ERROR  # gravity shows less
         if scale is not None and is_measured and scale.tolerance < scale.off < UNIT_WRONG:
-            text = f"the angular rate is {scale.scale:.3g} times what {scale.by} shows"
+            text = f"the angular rate is {scale.scale:.3g} times the rate derived from {scale.by}"
             number = round(scale.scale * imu_settings.angular_rate_scale, 3)
             found.append(Setting("imu.angular_rate_scale", number, text))
         if "imu.angular_rate" not in named:
@@ -667,10 +666,10 @@ def _start(findings: Sequence[Finding], initial: Initial) -> Iterator[Setting]:
         return
     given = {quantity for source in reference.sources for quantity in source.fields}
     if not given and initial.source == "reference":
-        yield Setting("initial.source", "level", "no reference to start from: roll and pitch come from gravity")
+        yield Setting("initial.source", "level", "no reference to start from; roll and pitch come from gravity")
     posed = initial.source == BY_SENSOR or (initial.source == "reference" and given & {"quaternion", "roll"})
     if initial.heading_deg is None and not posed:
-        text = f'at the start, from north over east; "{BY_SENSOR}" where an AHRS or a compass tells it'
+        text = f'heading at the start, from north over east; "{BY_SENSOR}" if the log has an AHRS or a compass'
         yield Setting("initial.heading_deg", None, open=text)
     if initial.latitude_deg is None and "latitude" not in given:
-        yield Setting("initial.latitude_deg", None, open="for gravity and Earth rate; half a degree will do")
+        yield Setting("initial.latitude_deg", None, open="for gravity and Earth rate; half a degree is accurate enough")

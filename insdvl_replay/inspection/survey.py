@@ -1,6 +1,6 @@
-"""What is in a log: its topics by their log times, who plays which role and why, and what the messages show.
+"""What is in a log: its topics by their log times, which topic plays which role and why, and what the messages show.
 
-Built on the functions that read a dive, so that what is said here is what a replay would meet.
+It uses the functions that read a dive, so it reports what a replay would find.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,7 +33,7 @@ def inspect_log(
     """State what a log holds and whether it can be replayed.
 
     Deep reads the messages of all roles whole, and goes as far as a replay would before its filters run; else the first
-    messages of each role show of its clock and units. Damage that is allowed is reported, and is no obstacle.
+    messages of each role show of its clock and units. Damage that is allowed is reported, and is not a blocker.
 
     Raises
     ------
@@ -55,10 +55,15 @@ def inspect_log(
         damage = None if allow_damaged else log.damage_error()
     notes = [*log.notes, *seen.notes, *proposal.notes]
     if idle := idle_sensors(str(log.path), log.channels, findings, config):
-        sensors = "; ".join(f"{name} by {' or '.join(topics)}" for name, topics in idle.items())
+        kind, them = ("sensor", "it") if len(idle) == 1 else ("sensors", "them")
+        sensors = "; ".join(f"{name} on {' or '.join(topics)}" for name, topics in idle.items())
         aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
-        hint = f"--set 'filters.told.aiding=[{aiding}]'; evaluation.held_out judges by them"
-        notes.append(Note(_IDLE, f"could aid a filter: {sensors}", len(idle), hint=hint))
+        held_out = ", ".join(f'"{word}"' for word in idle)
+        hint = (
+            f"to use {them}: --set 'filters.with_sensors.aiding=[{aiding}]'; to judge by {them}: "
+            f"--set 'evaluation.held_out=[{held_out}]'"
+        )
+        notes.append(Note(_IDLE, f"unused {kind}: {sensors}", len(idle), hint=hint))
     inventory = Inventory(
         log=facts,
         reading=Reading.WHOLE if deep else Reading.SAMPLE,

@@ -1,7 +1,7 @@
-"""A file of settings with which a log can be run: what was given, what was seen, and what trial runs show.
+"""A settings file with which a log can be run: given settings, proposed settings, and results of trial runs.
 
-The log is replayed with what was proposed so far. Where that takes a heading or a latitude that nobody knows yet, any
-will do, since a DVL's innovations hardly depend on them.
+The log is replayed with the settings proposed so far. An unknown heading or latitude has any value then, since the
+DVL's innovations hardly depend on them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -45,7 +45,9 @@ UNKNOWN_LATITUDE_DEG: Final = 45.0
 CERTAIN_SDS: Final = 5.0  # a scale that a track shows less surely is not worth a line
 _GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
 _NOISES: Final = {"accel_white_mps_rts": "m/s/sqrt(s)", "gyro_white_rad_rts": "rad/sqrt(s)"}
-_ARM_OPEN: Final = "IMU to DVL, forward, starboard, down, as built; `insdvl-replay calibrate` estimates it"
+_ARM_OPEN: Final = (
+    "from IMU to DVL: forward, starboard, down; measure it, or estimate it with `insdvl-replay calibrate`"
+)
 _NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
 
 
@@ -107,7 +109,7 @@ def settings_file(
             seen = ""
     head = [
         f"insdvl-replay {__version__} inspect --propose: {listed([dive.name for dive in read] or [first.name])}",
-        *(f"decide: stops a replay with this: {failure.message}; {failure.hint}" for failure in failures),
+        *(f"blocker: {failure.message}; {failure.hint}" for failure in failures),
         *(f"warning: {warning}" for warning in warnings),
         f"to decide: {', '.join(decisions) or 'nothing'}",
     ]
@@ -184,12 +186,12 @@ def imu_class(imu: ImuColumns, initial: Initial) -> tuple[str, list[Setting]]:
         scatter = readings_scatter(readings, imu.usual_step_s)
         name = sensor_class(key, scatter) if scatter > 0.0 else ""
         classes.append(name or _GRADES[-1])
-        shown = name or "of no class"
+        shown = name or "no class"
         scatters.append(f"{CLASSES[key].name} scatter by {scatter:.2g} {unit} from sample to sample ({shown})")
     preset = max(classes, key=_GRADES.index)
     config, default = load_config(preset), Initial()
-    seen = f"preset {preset}: in the usual half second, {', '.join(scatters)}"
-    smooths = "an IMU that smooths its readings is noisier than they show" if preset != _GRADES[-1] else ""
+    seen = f"preset {preset}: in a typical half second, {', '.join(scatters)}"
+    smooths = "an IMU that filters its readings has more noise than this" if preset != _GRADES[-1] else ""
     settings = [Setting(f"noise.{key}", value) for key, value in msgspec.structs.asdict(config.noise).items()]
     settings[0] = Setting(settings[0].key, settings[0].value, seen, smooths)
     for key in ("accel_bias_sd_mg", "gyro_bias_sd_degph"):
@@ -199,7 +201,7 @@ def imu_class(imu: ImuColumns, initial: Initial) -> tuple[str, list[Setting]]:
 
 
 def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
-    """Propose how the DVL is turned, if the innovations say it clearly, and say what they said."""
+    """Propose the mounting of the DVL, if the innovations determine it, with the reason."""
     tried = tried_mountings(dives)
     best, second = tried[:2]
     is_clear = best.cost < CLEARLY * second.cost
@@ -210,7 +212,7 @@ def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
         return f"[{', '.join(f'{angle:.0f}' for angle in mounting.rpy_deg)}]"
 
     def compared(other: TriedMounting) -> str:
-        return f"{other.cost / best.cost:.2f} times as much" if best.cost > 0.0 else "as much"
+        return f"{other.cost / best.cost:.2f} times as large" if best.cost > 0.0 else "as large"
 
     if configured is None:
         if config.dvl.mounting_rpy_deg != Dvl().mounting_rpy_deg:
@@ -222,42 +224,47 @@ def _mounting(dives: Sequence[ReadDive], config: Config) -> Iterator[Setting]:
         )
         look = ", ".join(f"{part:.2f}" for part in np.array(dives[0].dive.dvl.look_d))
         text = (
-            f"with {as_read} the beams look along ({look}); of {len(tried)} ways to lay its axes so that they look "
-            f"down, its innovations say this one; the next best, {other}, {compared(second)}"
+            f"with {as_read} the beams point along ({look}); of {len(tried)} orientations with beams down, this one "
+            f"has the smallest innovations; the next best, {other}: {compared(second)}"
         )
         is_close = best.cost > CLEARLY * second.cost
-        yield Setting("dvl.axes", axes, text, f'it could as well be "{other}"' if is_close else "")
+        yield Setting("dvl.axes", axes, text, f'"{other}" is possible too' if is_close else "")
         return
     if best is configured:
         text = (
-            f"of {len(tried)} ways to lay its axes this one leaves least of the innovations; the next best, "
-            f"{rpy(second)}, {compared(second)}"
+            f"of {len(tried)} orientations this one has the smallest innovations; the next best, {rpy(second)}: "
+            f"{compared(second)}"
         )
         yield Setting(key, best.rpy_deg, text)
     elif best.cost < CLEARLY * configured.cost:
         text = (
-            f"of {len(tried)} ways to lay its axes, as its innovations say: as configured, {compared(configured)}; the "
-            f"next best, {rpy(second)}, {compared(second)}"
+            f"of {len(tried)} orientations this one has the smallest innovations; the configured one: "
+            f"{compared(configured)}; the next best, {rpy(second)}: {compared(second)}"
         )
         is_close = best.cost > CLEARLY * second.cost
-        yield Setting(key, best.rpy_deg, text, "it could as well be the next best" if is_close else "")
+        yield Setting(key, best.rpy_deg, text, "the next best is possible too" if is_close else "")
     else:
-        text = f"the innovations do not tell: {rpy(best)} leaves {best.cost / configured.cost:.2f} of what this does"
-        yield Setting(key, configured.rpy_deg, text, "DVL to body, roll, pitch, heading, as built")
+        text = (
+            f"the innovations cannot decide: with {rpy(best)} they are {best.cost / configured.cost:.2f} times as large"
+        )
+        yield Setting(key, configured.rpy_deg, text, "DVL axes to body: roll, pitch, heading; measure them")
         return
     # Settle axes that were open: with any others, another mounting would say the same.
     if config.dvl.axes is not None and is_clear:
-        yield Setting("dvl.axes", config.dvl.axes, "with these the mounting was tried")
+        yield Setting("dvl.axes", config.dvl.axes, "dvl.mounting_rpy_deg was determined with these axes")
 
 
 def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
-    """Let the heading at the start be fitted where a track tells it, with the DVL's scale that is seen beside it."""
+    """Propose that the start heading is fitted where a track determines it, and the DVL's scale of that fit."""
     key, reference = "initial.heading_deg", dives[0].reference
     posed = tried.initial.source == "reference" and reference is not None and reference.has_attitude
     if posed or tried.initial.source == BY_SENSOR:
         return
     if reference is None or not reference.has_position:
-        text = f'no reference tells it: all that is replayed is relative to the first heading, or it is "{BY_SENSOR}"'
+        text = (
+            "no reference gives the heading: the replayed track is relative to this one; "
+            f'"{BY_SENSOR}" if the log has an AHRS or a compass'
+        )
         yield Setting(key, 0.0, open=text)
         return
     fitted, failed = [], []
@@ -267,14 +274,14 @@ def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
         except UserError as error:
             failed.append(error.message)
     if not fitted:
-        yield Setting(key, None, failed[0], "at the start, from north over east")
+        yield Setting(key, None, failed[0], "heading at the start, from north over east")
         return
     headings = ", ".join(f"{start.heading_deg:.1f} +- {start.heading_sd_deg:.2g} deg" for start in fitted)
-    text = f"by the track of the reference's positions, anew in each replay; as settings are now, {headings}"
+    text = f"each replay fits it to the track of the reference's positions; with these settings: {headings}"
     yield Setting(key, FIT, "; ".join((text, *failed)))
     if len(dives) > 1:
         return
-    # Hold the baseline's track against the reference's, once its heading is fitted.
+    # Compare the baseline's track with the reference's, once its heading is fitted.
     config = with_settings(tried, [Setting(key, FIT)])
     once = msgspec.structs.replace(config.evaluation, starts=1)
     alone = {config.baseline: config.filters[config.baseline]}
@@ -285,5 +292,5 @@ def _heading(dives: Sequence[Dive], tried: Config) -> Iterator[Setting]:
     if abs(fit.scale_pct) > CERTAIN_SDS * fit.scale_sd_pct:
         scale = tried.dvl.scale / (1.0 + 0.01 * fit.scale_pct)
         size = f"{abs(fit.scale_pct):.1f} % {'longer' if fit.scale_pct > 0.0 else 'shorter'}"
-        text = f"the reference's track is {size} than the DVL's (sd {fit.scale_sd_pct:.1f} %): is it the DVL?"
+        text = f"the reference's track is {size} than the DVL's (sd {fit.scale_sd_pct:.1f} %): is the DVL wrong?"
         yield Setting("dvl.scale", tried.dvl.scale, open=text, others=(f"scale = {scale:.3f}",))

@@ -93,25 +93,25 @@ def load_user_measurement(word: str) -> UserMeasurement:
         raise ValueError(f"cannot be imported: {kind}{error}") from error
     if not hasattr(imported, name):
         near = get_close_matches(name, vars(imported), n=1)
-        raise ValueError(f"is not in {module}" + (f", which has {near[0]}" if near else ""))
+        raise ValueError(f"is not in {module}" + (f"; the nearest name is {near[0]}" if near else ""))
     found = getattr(imported, name)
     if not (isinstance(found, type) and issubclass(found, UserMeasurement)):
-        raise ValueError("is no class derived from UserMeasurement")
+        raise ValueError("is not a class derived from UserMeasurement")
     try:
         user = found()
     except (Exception, SystemExit) as error:
-        raise ValueError(f"cannot be made without arguments: {error}") from error
+        raise ValueError(f"cannot be created without arguments: {error}") from error
     name = str(user.name)
     mistakes = (
-        (not isinstance(user.name, str), f"has the name {user.name!r}, which is no text"),
-        (not isinstance(user.unit, str), f"has the unit {user.unit!r}, which is no text"),
-        (not (name.isidentifier() and is_whole(name)), f"has the name '{name}', which is no word for a row of a table"),
-        (is_reserved(name), f"has the name '{name}', which the tables have for a measurement of the tool's own"),
+        (not isinstance(user.name, str), f"has the name {user.name!r}, which is not text"),
+        (not isinstance(user.unit, str), f"has the unit {user.unit!r}, which is not text"),
+        (not (name.isidentifier() and is_whole(name)), f"has the name '{name}', which is not allowed in tables"),
+        (is_reserved(name), f"has the name '{name}', which is a built-in measurement"),
         (found.readings is UserMeasurement.readings, "has no method readings(self, dive)"),
         (found.predict is UserMeasurement.predict, "has no method predict(ins, z, H)"),
         (
             inspect.ismethod(user.predict),
-            "has a predict that is no static method: @staticmethod belongs above predict(ins, z, H)",
+            "has a predict that is not a static method: write @staticmethod above predict(ins, z, H)",
         ),
     )
     for is_mistake, text in mistakes:
@@ -129,7 +129,7 @@ def compiled_prediction(predict: Predict) -> Predict | None:
         return None
     try:
         made: Any = numba.njit(_signature(), error_model="numpy")(plain(predict))
-    except Exception:  # numba has errors of its own for some code, and Python's for other
+    except Exception:  # numba raises its own errors for some code, and Python's for other code
         return None
     found: Predict = made
     return found
@@ -181,25 +181,25 @@ def checked_readings(readings: UserReadings) -> UserReadings:
         try:
             return np.asarray(given, np.float64)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"gives {what} that are no array of numbers: {error}") from error
+            raise ValueError(f"returns {what} that are not an array of numbers: {error}") from error
 
     time_ns, values = np.asarray(readings.time_ns), numbers("values", readings.values)
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
         shapes = f"{time_ns.shape} and {values.shape}"
-        raise ValueError(f"gives times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4")
+        raise ValueError(f"returns times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4")
     if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
-        raise ValueError("gives times that are not increasing int64 nanoseconds")
+        raise ValueError("returns times that are not increasing int64 nanoseconds")
     sd = numbers("sd", readings.sd)
     try:
         sd = np.broadcast_to(sd, values.shape)
     except ValueError as error:
         shapes = f"{sd.shape} for values of shape {values.shape}"
-        raise ValueError(f"gives sd of shape {shapes}, not (s,) or (k, s)") from error
+        raise ValueError(f"returns sd of shape {shapes}, not (s,) or (k, s)") from error
     for what, bad in (("values that are not finite", ~np.isfinite(values)), ("sd that is not above 0", ~(sd > 0.0))):
         if len(rows := np.flatnonzero(bad.any(axis=1))):
             raise ValueError(
-                f"gives {what} in {len(rows)} of {len(values)} rows, the first in row {rows[0]}: leave them out"
+                f"returns {what} in {len(rows)} of {len(values)} rows, the first is row {rows[0]}: leave them out"
             )
     if not np.isfinite(sd).all():
-        raise ValueError("gives sd that is not finite")
+        raise ValueError("returns sd that is not finite")
     return UserReadings(time_ns, values, sd)

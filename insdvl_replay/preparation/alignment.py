@@ -29,7 +29,7 @@ from insdvl_replay.nav.levelling import (
 from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.preparation.notes import note
 
-FAR_S: Final = 1.0  # what is further from the start than this says little about it: a vehicle moves on
+FAR_S: Final = 1.0  # readings further from the start are not used for it
 HEADING_LIMIT_DEG: Final = 10.0  # no compass of a vehicle errs by more, even with the declination left in
 GIVEN_HEADING_LIMIT_DEG: Final = 5.0  # a heading that somebody read off a compass, or a plan, is as near as this
 TILT_LIMIT: Final = 5.0 * DEG  # no AHRS errs by more, nor do accelerometers
@@ -84,8 +84,8 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
         values, away_s = nearest("heading")
         if away_s > FAR_S:
             raise LogError(
-                f"the reading of the heading that is nearest to the start is {away_s:.1f} s away",
-                "--start where there is one, or --set initial.heading_deg=...",
+                f"the heading reading nearest to the start is {away_s:.1f} s away",
+                "choose a --start with a heading reading, or --set initial.heading_deg=...",
             )
         heading_deg, is_heading_sensed = float(values[0]) / DEG % 360.0, True
         notes.append(note("start_heading_sensor", heading=heading_deg, away=away_s))
@@ -138,8 +138,8 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
     else:
         if len(samples.time_ns) < FEWEST_SAMPLES:
             raise LogError(
-                f"only {len(samples.time_ns)} IMU samples without a pause lie in the {LEVELLING_S:g} s after the "
-                "start, too few to find the level",
+                f"only {len(samples.time_ns)} IMU samples without a gap in the {LEVELLING_S:g} s after the start, too "
+                "few for levelling",
                 "choose another --start",
             )
         if sensed_mat_nb is None and heading_deg is None:
@@ -207,14 +207,14 @@ def _sensor_attitude(dive: Dive, heading_deg: float | None, start_ns: int, end_n
     time_ns, mats_nb = dive.sensors["heading"].time_ns, dive.sensors["heading"].mat_nb
     if mats_nb is None:
         raise LogError(
-            'initial.source is "sensor", and the messages of the heading hold no roll and pitch',
-            "name heading.roll and heading.pitch, or start level: --set initial.source=level",
+            'initial.source is "sensor", but the heading messages have no roll and pitch',
+            "set heading.roll and heading.pitch, or start level: --set initial.source=level",
         )
     inside = (time_ns >= start_ns) & (time_ns < end_ns) & np.isfinite(mats_nb).all(axis=(1, 2))
     if not inside.any():
         raise LogError(
-            "the sensor of the heading gives no attitude between the first and the last IMU sample of the span",
-            "check heading.stamp against imu.stamp, or widen --start and --end",
+            "the heading sensor has no attitude between the first and the last IMU sample of the span",
+            "compare heading.stamp with imu.stamp, or widen --start and --end",
         )
     row = int(np.argmax(inside))
     first_ns, mat_nb = int(time_ns[row]), mats_nb[row]
@@ -235,8 +235,8 @@ def _first_attitude_ns(reference: ReferenceColumns, start_ns: int, end_ns: int) 
     inside = located if located.any() else inside
     if not inside.any():
         raise LogError(
-            "the reference gives no attitude between the first and the last IMU sample of the span",
-            "check that both are stamped by the same clock (imu.stamp, reference.stamp), or widen --start and --end",
+            "the reference has no attitude between the first and the last IMU sample of the span",
+            "compare imu.stamp with reference.stamp (both need the same clock), or widen --start and --end",
         )
     return int(reference.time_ns[np.argmax(inside)])
 

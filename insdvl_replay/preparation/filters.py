@@ -67,7 +67,7 @@ class ResolvedFilter:
     gate_reopen_after: int  # rejected velocities in a row after which the INS is set to the DVL; 0: never
     acceleration: Acceleration
     states: tuple[str, ...]  # names in `states.MORE_STATES`, beside the twelve
-    held_out: tuple[str, ...]  # sensors that are held out: they judge the filter and do not aid it
+    held_out: tuple[str, ...]  # sensors that are held out: the filter is compared with them and not aided by them
     measurement_noise: int  # how R of velocity and beams is taken, see `nav.kalman`
     more_sd: Floats  # (n - 12,) sd of the states beside the twelve at the start, SI units
     more_density: Floats  # (n - 12,) density of their process noise
@@ -120,8 +120,8 @@ class ResolvedFilter:
             elif aid == "beams":
                 if beams is None:
                     raise ConfigError(
-                        f"filters.{self.name} is aided by beams, and the DVL gives velocities alone",
-                        'aiding = ["velocity"]; dvl.kind and dvl.beam_velocity say where beams stand',
+                        f"filters.{self.name} is aided by beams, but the DVL has velocities only",
+                        'aiding = ["velocity"]; if the log has beams, set dvl.kind and dvl.beam_velocity',
                     )
                 swing_cov_b = gaps.swing_cov(beams.time_ns, arm_b)
                 by_beam = beam_measurements(beams, self.beam_sd_mps(velocities))
@@ -205,8 +205,8 @@ def prepare_sensors(
         inside = (columns.time_ns > start_ns) & (columns.time_ns <= end_ns)
         if not inside.any():
             raise LogError(
-                f"no reading of the {name} lies between the start of the replay and its end",
-                f"check {name}.stamp against imu.stamp, or widen --start and --end",
+                f"no reading of the {name} sensor between the start and the end of the replay",
+                f"compare {name}.stamp with imu.stamp, or widen --start and --end",
             )
         time_ns, values = columns.time_ns[inside], columns.values[inside]
         notes += silence_notes(name, time_ns, start_ns, end_ns)

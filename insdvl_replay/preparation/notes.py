@@ -1,4 +1,4 @@
-"""All notes of the preparation: code, severity, sentence and hint, with fields for the values that a caller gives."""
+"""All notes of the preparation: code, severity, sentence and hint, with fields for values."""
 
 from typing import Any, Final
 
@@ -7,7 +7,7 @@ from insdvl_replay.core.words import Severity
 
 INFO, WARNING = Severity.INFO, Severity.WARNING
 
-# What follows a blank in a code tells two sentences of one code apart, and is not part of it.
+# The words after a blank in a key distinguish two sentences of one code. They are not part of the code.
 NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     # The pings.
     "dvl_no_velocity": (INFO, "pings with fewer than three valid beams or no finite velocity: {count}", ""),
@@ -21,140 +21,140 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     "dvl_outside_span": (INFO, "pings before the start of the replay or after its end: {count}", ""),
     "dvl_outages": (
         WARNING,
-        "the DVL gives no velocity for over {held:g} s, {count} x, the longest {longest:.0f} s from {since:.0f} s "
-        "after the start on; from then on gravity is taken at the height of before, since an unaided height runs away, "
-        # The presets hold for so long without a velocity; see docs/equations/kalman_filter.md.
-        "and standard deviations in and after it hold up to 5 min with micromechanical sensors, 1 h with tactical and "
-        "2 h with fibre-optic ones",
-        "--start and --end leave it out",
+        "DVL outages of over {held:g} s: {count}, the longest {longest:.0f} s from {since:.0f} s after the start; "
+        "gravity is computed at the last aided height there; "
+        # The presets are valid for so long without a velocity; see docs/equations/kalman_filter.md.
+        "sigma is valid up to 5 min with MEMS, 1 h with tactical and 2 h with fibre-optic sensors",
+        "leave the outage out with --start and --end",
     ),
     # Gaps of the IMU.
     "imu_split": (
-        WARNING, "{gaps}{why}; only {start:.1f} to {end:.1f} s are replayed, {left_out:.1f} s are left out", "{hint}"
+        WARNING, "{gaps}{why}; only {start:.1f} to {end:.1f} s is replayed, {left_out:.1f} s is left out", "{hint}"
     ),
-    "imu_long_gaps": (WARNING, "{gaps}; they are bridged, and the filters' uncertainty grows in them", "{hint}"),
+    "imu_long_gaps": (WARNING, "{gaps}; the gaps are bridged, and sigma grows in them", "{hint}"),
     # The start.
-    "start_position_configured": (INFO, "started at the configured latitude {latitude:g} deg", ""),
-    "start_position_sensor": (INFO, "position at the start by the fix {away:.2f} s away", ""),
-    "start_height_configured": (INFO, "started at the configured height {height:g} m", ""),
+    "start_position_configured": (INFO, "the start has the configured latitude, {latitude:g} deg", ""),
+    "start_position_sensor": (INFO, "start position from the fix {away:.2f} s away", ""),
+    "start_height_configured": (INFO, "the start has the configured height, {height:g} m", ""),
     "start_{quantity}_far": (
         WARNING,
-        "the {quantity} at the start is the reference's {away:.1f} s away from it, and is off by as much",
-        "--start near the reference's {quantity}s",
+        "the start {quantity} is from a row of the reference {away:.1f} s away; the vehicle may have moved since",
+        "choose a --start with a {quantity} of the reference",
     ),
     "start_latitude_contradiction": (
         WARNING,
-        "initial.latitude_deg is {configured:g}, but the reference starts at {found:.4g} deg, which counts",
-        "leave initial.latitude_deg out, or name another reference.topic or reference.fix",
+        "initial.latitude_deg is {configured:g}, but the reference starts at {found:.4g} deg, which is used",
+        "leave initial.latitude_deg out, or set another reference.topic or reference.fix",
     ),
     "start_heading_sensor": (
-        INFO, "heading at the start {heading:.2f} deg, of the sensor's reading {away:.2f} s away", ""
+        INFO, "start heading {heading:.2f} deg from the sensor's reading {away:.2f} s away", ""
     ),
     "start_heading_idle": (
         WARNING,
-        "initial.heading_deg is {configured:g}, but the reference starts at {found:.1f} deg, which counts",
-        'leave initial.heading_deg out, or initial.source = "level" to start from it',
+        "initial.heading_deg is {configured:g}, but the reference starts at {found:.1f} deg, which is used",
+        'leave initial.heading_deg out; to start from it: initial.source = "level"',
     ),
     "start_heading_contradiction": (
         WARNING,
-        "the heading of {heading:.0f} deg at the start contradicts the reference, which has {found:.0f} deg",
+        "the start heading of {heading:.0f} deg contradicts the reference, which has {found:.0f} deg",
         "initial.heading_deg = {found:.1f}",
     ),
     "start_heading_fitted": (
         INFO,
-        "a heading of {fitted.heading_deg:.2f} +- {fitted.heading_sd_deg:.2g} deg at the start, and a bias of "
-        "{fitted.gyro_bias_degph:.1f} +- {fitted.gyro_bias_sd_degph:.2g} deg/h of the gyro about down, were fitted to "
-        "the positions of the reference, which the tables then compare with",
+        "start heading {fitted.heading_deg:.2f} +- {fitted.heading_sd_deg:.2g} deg and vertical gyro bias "
+        "{fitted.gyro_bias_degph:.1f} +- {fitted.gyro_bias_sd_degph:.2g} deg/h were fitted to the reference's "
+        "positions; the tables use the same positions",
         "",
     ),
     "start_attitude_sensor": (
         INFO,
-        "roll {roll:.2f} deg and pitch {pitch:.2f} deg of the sensor's first attitude, {since:.2f} s into the span, at "
-        "a heading of {heading:.2f} deg",
+        "start roll {roll:.2f} deg and pitch {pitch:.2f} deg from the sensor's first attitude, {since:.2f} s after the "
+        "begin of the span; heading {heading:.2f} deg",
         "",
     ),
-    "start_velocity_dvl": (INFO, "velocity at the start from the DVL's ping {away:.2f} s away", ""),
+    "start_velocity_dvl": (INFO, "start velocity from the DVL's ping {away:.2f} s away", ""),
     "start_levelled": (
         INFO,
-        "roll {rpy[0]:.2f} +- {sd[0]:.2f} deg and pitch {rpy[1]:.2f} +- {sd[1]:.2f} deg from gravity over "
-        "{level.span_s:.3g} s, at a heading of {rpy[2]:g} deg",
+        "start roll {rpy[0]:.2f} +- {sd[0]:.2f} deg and pitch {rpy[1]:.2f} +- {sd[1]:.2f} deg from gravity over "
+        "{level.span_s:.3g} s; heading {rpy[2]:g} deg",
         "",
     ),
     "start_level_unaided": (
         WARNING,
-        "the DVL tells too little of the {level.span_s:.3g} s after the start to take the vehicle's own acceleration "
-        "off gravity",
-        "--start where the DVL sees the bottom",
+        "too few DVL velocities in the {level.span_s:.3g} s after the start: the vehicle's own acceleration could not "
+        "be removed from the levelling",
+        "choose a --start where the DVL sees the bottom",
     ),
     "start_tilt_contradiction": (
         WARNING,
-        "the sensor's roll and pitch of {sensed[0]:.1f} and {sensed[1]:.1f} deg at the start contradict gravity, which "
-        "says {measured[0]:.1f} and {measured[1]:.1f} deg",
-        'heading.axes, heading.mounting_rpy_deg, or initial.source = "level"',
+        "start roll and pitch are {sensed[0]:.1f} and {sensed[1]:.1f} deg by the sensor, but {measured[0]:.1f} and "
+        "{measured[1]:.1f} deg by gravity",
+        'check heading.axes and heading.mounting_rpy_deg, or set initial.source = "level"',
     ),
     # Other sensors.
     "{sensor}_silent": (
         WARNING,
-        "no reading of the {sensor} for {length:.0f} of {span:.0f} s, from {since:.0f} s after the start {until}",
+        "no reading of the {sensor} sensor for {length:.0f} of {span:.0f} s, from {since:.0f} s after the start "
+        "{until}",
         "",
     ),
     "{sensor}_held_out": (
         WARNING,
-        "the {sensor} is withheld, and does not aid {filters}",
-        'take "{sensor}" out of evaluation.held_out',
+        "the {sensor} sensor is held out, so it does not aid {filters}",
+        'to use it: remove "{sensor}" from evaluation.held_out',
     ),
     "depth_zero": (
         INFO,
-        "depth: 0 is taken to be {surface:.3f} m above the ellipsoid, by the first reading, {late:.2f} s after the "
-        "start, and the height at the start; filters that are aided by it find out",
-        "depth.surface_height_m says it otherwise",
+        "depth 0 is assumed {surface:.3f} m above the ellipsoid, by the start height and the first depth, {late:.2f} s "
+        "after the start; filters with the depth sensor estimate the rest",
+        "to set it: depth.surface_height_m",
     ),
     "position_contradiction": (
         WARNING,
-        "the first fix, {late:.2f} s after the start, is {away:.3g} km from it: at latitude {fix[0]:.4f} deg, "
-        "longitude {fix[1]:.4f} deg",
-        "position.latitude, position.longitude and position.angle_unit; or initial.latitude_deg and longitude_deg",
+        "the first fix, {late:.2f} s after the start, is {away:.3g} km from the start position: latitude "
+        "{fix[0]:.4f} deg, longitude {fix[1]:.4f} deg",
+        "check position.latitude, position.longitude and position.angle_unit, or initial.latitude_deg and "
+        "longitude_deg",
     ),
     # User-defined measurements.
     "user_measurement_plain": (
         WARNING,
-        "the prediction of {plugin} cannot be compiled, and runs as it is: the filter takes long",
-        "numbers, loops and numpy's functions of numbers can be compiled",
+        "predict of {plugin} cannot be compiled: the filter is slow",
+        "use numbers, loops and numpy's scalar functions, which can be compiled",
     ),
     "user_measurement_jacobian unwritten": (
         WARNING,
-        "{plugin} leaves {left} at zero where filters.{filter} starts: its readings change nothing there",
-        "H is the change of z by what the INS is off: docs/own_filter.md has columns and signs",
+        "{plugin} leaves {left} at zero at the start of filters.{filter}: its readings have no effect there",
+        "H is the derivative of z by the error states; columns and signs: docs/own_filter.md",
     ),
     "user_measurement_jacobian wrong": (
         WARNING,
-        "H of {plugin} contradicts its z where filters.{filter} starts: H[{row}, {column}] is {given:.3g}, and z "
-        "changes by {found:.3g}",
-        "H is the change of z by what the INS is off: docs/own_filter.md has columns and signs",
+        "H of {plugin} is not the derivative of its z at the start of filters.{filter}: H[{row}, {column}] is "
+        "{given:.3g}, the derivative is {found:.3g}",
+        "H is the derivative of z by the error states; columns and signs: docs/own_filter.md",
     ),
     # Recorded solutions.
     "solution_turned": (
-        INFO, "{key}: turned by {turn:+.2f} deg to the heading of {baseline} at its first attitude", ""
+        INFO, "{key}: turned by {turn:+.2f} deg, to the heading of {baseline} at its first attitude", ""
     ),
     "solution_aligned": (
         INFO,
-        "{key}: its positions{origin} are laid on {baseline} at the first of them, {since:.2f} s after the start"
+        "{key}: the positions{origin} were aligned with {baseline} at the first one, {since:.2f} s after the start"
         "{moved}",
         "",
     ),
-    "solution_lacks": (INFO, "{key} says nothing of {quantities}", ""),
+    "solution_lacks": (INFO, "{key} has no {quantities}: not evaluated", ""),
     "solution_coverage": (
         WARNING,
-        "{quantities} of {key} cover {percent} % of the replay; it is judged on that part, and the baseline beside it "
-        "at the same instants",
-        "--start and --end choose that part",
+        "{quantities} of {key} cover {percent} % of the replay; solution and baseline are compared in that part",
+        "to replay that part alone: --start and --end",
     ),
-    "solution_without_covariance": (INFO, "{key} does not say how sure it is of {quantities}", ""),
+    "solution_without_covariance": (INFO, "{key} has no covariance of {quantities}", ""),
 }  # fmt: skip
 
 
 def note(code: str, count: int = 1, severity: Any = None, **values: Any) -> Note:
-    """Make a note of a code, with the values of its fields; a severity replaces that of the table."""
+    """Make a note of a code, with the values of its fields; a given severity replaces that of the table."""
     usual, text, hint = NOTES[code]
     values["count"] = count
     name = code.split()[0].format(**values)

@@ -40,7 +40,7 @@ from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
 from insdvl_replay.preparation.notes import note
 
 Outage = tuple[int, int]  # times of the last ping before it, and of the last ping in it, ns
-SHOWN: Final = "docs/own_filter.md shows one"
+SHOWN: Final = "example: docs/own_filter.md"
 NO_END: Final = int(np.iinfo(np.int64).max)
 APART_NS: Final = 60 * NS_PER_S  # between two outages of one call: user code mostly looks back less
 ONE_BY_ONE: Final = 4  # outages that are asked for one by one; more take four calls, if the user's code allows
@@ -66,7 +66,7 @@ def prepare_user_measurements(
 ) -> tuple[dict[str, Measurement], tuple[Note, ...]]:
     """Prepare the measurements that filters name as ``module:Class``, without a gate.
 
-    Their rows of the time line follow those of so many ``sensors``. Each prediction is tried at the start.
+    Their rows of the time line follow those of the ``sensors``, a number. Each prediction is tried at the start.
     """
     plugins = dict.fromkeys(plugin for filter_ in filters for plugin in filter_.aiding if ":" in plugin)
     found, notes = dict[str, Measurement](), list[Note]()
@@ -75,8 +75,8 @@ def prepare_user_measurements(
         user, readings = _asked(plugin, dive, config)
         readings = _inside(readings, [(start_ns, end_ns)])
         if not len(readings.time_ns):
-            text = f"{plugin} has no reading between the start of the replay and its end"
-            raise ConfigError(text, "times are int64 ns")
+            text = f"{plugin} has no reading between the start and the end of the replay"
+            raise ConfigError(text, "readings need times in int64 ns, on the clock of the IMU stamps")
         holds_height = False
         for filter_ in (filter_ for filter_ in filters if plugin in filter_.aiding):
             holds_height, found_notes = _tried_prediction(plugin, user, readings.values.shape[1], filter_, start)
@@ -91,9 +91,9 @@ def prepare_user_measurements(
         for plugin in (plugin for plugin in filter_.aiding if plugin in found):
             if (other := plugin_of.setdefault(found[plugin].name, plugin)) != plugin:
                 raise ConfigError(
-                    f"filters.{filter_.name} is aided by {other} and {plugin}, which both have a row "
-                    f"'{found[plugin].name}' in the tables",
-                    "give one of the two classes another name",
+                    f"filters.{filter_.name} is aided by {other} and {plugin}, which have the same name "
+                    f"'{found[plugin].name}'",
+                    "change `name` in one of the two classes",
                 )
     # Each prediction has a number, by which one function calls it. Compiled ones have the first numbers: these stay
     # the same where they run beside others that are not compiled.
@@ -113,22 +113,22 @@ def prepare_user_measurements(
 def _asked(
     plugin: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
 ) -> tuple[UserMeasurement, UserReadings]:
-    """Ask an object that is made for this call, so that it has kept nothing of another one."""
+    """Get the readings from a new object, which has no state of earlier calls."""
     given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.held_out
     topics = f"dive.topics has {listed(sorted(given.topics))}" if given.topics else "dive.topics is empty"
-    hint = f"{topics}; a section [topics.NAME] adds one"
+    hint = f"{topics}; to add a topic, write a section [topics.NAME]"
     if held_out:
-        hint += f"; the {listed(held_out)} is held out (evaluation.held_out), with all that may be made of it"
+        hint += f"; evaluation.held_out removes {listed(held_out)}, and topics and solutions that contain it"
     try:
         user = load_user_measurement(plugin)
         readings = _called(plugin, user, "readings(self, dive)", lambda: user.readings(given), hint)
         if not isinstance(readings, UserReadings):
             raise ConfigError(
-                f"{plugin}: readings(self, dive) gives {type(readings).__name__}, not UserReadings", SHOWN
+                f"{plugin}: readings(self, dive) returns {type(readings).__name__}, not UserReadings", SHOWN
             )
         return user, checked_readings(readings)
     except ValueError as error:
-        raise ConfigError(f"{plugin} {error}", f"{SHOWN}; PYTHONPATH names the folder in which it lies") from error
+        raise ConfigError(f"{plugin} {error}", f"{SHOWN}; PYTHONPATH must contain the folder of the module") from error
 
 
 def _called(plugin: str, user: UserMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
@@ -137,7 +137,7 @@ def _called(plugin: str, user: UserMeasurement, what: str, call: Callable[[], _T
         return call()
     except UserError:
         raise
-    except (Exception, SystemExit) as error:  # sys.exit would end the run without a word
+    except (Exception, SystemExit) as error:  # sys.exit would end the run without a message
         file = getattr(sys.modules[type(user).__module__], "__file__", None)
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
         line = f" in line {lines[-1]} of {file}" if lines else ""
@@ -180,11 +180,11 @@ def _tried_prediction(
 ) -> tuple[bool, list[Note]]:
     """Predict a reading once where a filter starts; return whether it measures the velocity down, by half or more.
 
-    A note says where H contradicts z in an entry that is not zero, or is all zero, and where one component is not
-    written. There is none where z is no number at the start, as a direction is none at rest.
+    A note reports an entry of H that contradicts z, an H of zeros, or a component that is not written. There is no note
+    if z is NaN at the start, such as a direction at rest.
     """
     count, has_position = len(states_with(filter_.states)), "position" in filter_.states
-    lacks = "" if has_position else '; states = ["position"] gives it columns 12 to 14'
+    lacks = "" if has_position else '; for columns 12 to 14: states = ["position"]'
     hint = f"filters.{filter_.name} has {count} error states: z is ({size},) and H ({size}, {count}){lacks}"
     predict = _uncompiled_prediction(plugin, user, hint)
 
@@ -273,7 +273,7 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
 def in_outages(
     dive: Dive, config: Config, sensors: dict[str, Measurement], outages: Sequence[Outage]
 ) -> Iterator[tuple[Sequence[Outage], dict[str, Measurement]]]:
-    """Yield groups of outages with the sensors that aid filters there: user code makes its readings anew.
+    """Yield groups of outages with the sensors that aid filters there: user code makes its readings again.
 
     The outages of a group are far apart, so that one call serves all: a longer dive needs no more calls.
     """
@@ -296,7 +296,7 @@ def in_outages(
 
 
 def _in_outages(plugin: str, whole: Measurement, dive: Dive, config: Config, outages: Sequence[Outage]) -> Measurement:
-    """Return the readings in outages, each as on a dive that ends with it and lacks its pings alone.
+    """Return the readings in outages, each from a dive that ends with this outage and lacks its pings only.
 
     One call for all outages is enough if it gives the same in the first, the shortest and the last. It does not for
     code that uses later data, or data from before the previous outage.
@@ -306,7 +306,7 @@ def _in_outages(plugin: str, whole: Measurement, dive: Dive, config: Config, out
         readings = _inside(_asked(plugin, dive, config, outages, end_ns)[1], outages)
         if (size := readings.values.shape[1]) != whole.size:
             raise ConfigError(
-                f"{plugin} gives readings of {size} components in an outage, and of {whole.size} else", SHOWN
+                f"{plugin} returns readings of {size} components in an outage, but {whole.size} otherwise", SHOWN
             )
         return readings
 

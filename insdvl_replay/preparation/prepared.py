@@ -1,4 +1,4 @@
-"""Before the filters: read and check a dive, move the reference to the IMU, solve the pings, settle gaps, and align."""
+"""Before the filters: read and check a dive, move the reference to the IMU, solve the pings, treat gaps, and align."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -43,8 +43,8 @@ from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import prepare_user_measurements
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
-RESIDUAL_HINT: Final = "dvl.max_beam_residual_mps several times the noise of a beam, or leave it out"
-LONGEST_BRIDGE_S: Final = 3600.0  # through a longer gap the line between two readings says nothing
+RESIDUAL_HINT: Final = "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
+LONGEST_BRIDGE_S: Final = 3600.0  # longer gaps cannot be bridged
 WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0  # where an attitude may be off by more, errors no longer add up
 IN_LINE: Final = np.eye(3)  # the axes of the reference are those of the IMU
 
@@ -91,8 +91,8 @@ def with_reference_at_imu(dive: Dive, config: Config) -> Dive:
         return replace(dive, reference=reference)
     if dive.reference.has_position or dive.reference.has_velocity:
         raise ConfigError(
-            f"{dive.name}: the reference gives no attitude by which reference.lever_arm_m could move it to the IMU",
-            "--set reference.lever_arm_m=[0,0,0], and its errors hold the lever arm",
+            f"{dive.name}: the reference has no attitude, so reference.lever_arm_m cannot be applied",
+            "--set reference.lever_arm_m=[0,0,0] (the errors then contain the lever arm)",
         )
     return replace(dive, reference=None)
 
@@ -141,7 +141,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     not fit the dive.
     """
     if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
-        raise ValueError(f"{dive.name}: the readings of its IMU were let go; read the log anew")
+        raise ValueError(f"{dive.name}: the IMU readings were released; read the log again")
     mounting = dvl_mounting(config)
     velocities = dvl_velocities(dive.dvl, mounting, config.dvl.max_beam_residual_mps or np.inf)
     notes = _ping_notes(dive, velocities, config.dvl.max_beam_residual_mps)
@@ -158,8 +158,8 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     inside = velocities.within(start_ns, end_ns)
     if not len(inside.time_ns):
         raise LogError(
-            f"{dive.name}: no DVL velocity lies between the start of the replay and its end",
-            "check dvl.stamp and reference.stamp against imu.stamp, or widen --start and --end",
+            f"{dive.name}: no DVL velocity between the start and the end of the replay",
+            "compare dvl.stamp and reference.stamp with imu.stamp, or widen --start and --end",
         )
     notes += [*gap_notes, *alignment.notes]
     if outside := len(velocities.time_ns) - len(inside.time_ns):
@@ -190,7 +190,7 @@ def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) 
     if not solved:
         raise LogError(
             f"{dive.name}: none of the DVL's {len(dive.dvl.time_ns)} pings has a velocity",
-            "three valid beams, or a finite bottom-track velocity, are needed; was the seabed in range?",
+            "a ping needs three valid beams or a finite bottom-track velocity: was the seabed in range?",
         )
     if lost := velocities.pings_without_velocity:
         notes.append(note("dvl_no_velocity", lost))
@@ -203,7 +203,7 @@ def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) 
 
 
 def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
-    """Return the span that the IMU covers, the DVL reaches and the configuration wants."""
+    """Return the span of the replay, by IMU, DVL and configuration."""
     first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
     start_s, end_s = config.span.start_s, config.span.end_s
     start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))
@@ -211,7 +211,7 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
     if start_ns >= end_ns:
         duration_s = (last_ns - first_ns) * 1e-9
         raise LogError(
-            f"{dive.name}: nothing lies between --start {start_s or 0:g} s and --end "
+            f"{dive.name}: there is nothing between --start {start_s or 0:g} s and --end "
             f"{duration_s if end_s is None else end_s:g} s; the IMU covers 0 to {duration_s:.1f} s",
             "--start and --end count seconds from the first IMU sample",
         )
@@ -220,7 +220,7 @@ def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, i
         raise LogError(
             f"{dive.name}: IMU and DVL do not overlap in time: the replay covers {(start_ns - first_ns) * 1e-9:.1f} to "
             f"{(end_ns - first_ns) * 1e-9:.1f} s from the first IMU sample, the DVL {before_s:.1f} to {after_s:.1f} s",
-            "are both stamped by the same clock? try --set imu.stamp=log_time --set dvl.stamp=log_time",
+            "if their clocks differ: --set imu.stamp=log_time --set dvl.stamp=log_time",
         )
     return start_ns, end_ns
 
@@ -252,35 +252,35 @@ def apply_gap_policy(
     def described(gaps: Gaps) -> str:
         count, first_s = len(gaps.start_ns), (int(gaps.start_ns[0]) - origin_ns) * 1e-9
         return (
-            f"the IMU has {count} gap{'s' * (count > 1)} longer than {imu.max_gap_s:g} s, the first at {first_s:.1f} "
-            f"s, the longest of {gaps.length_s.max():.1f} s, {gaps.length_s.sum():.1f} s in all"
+            f"the IMU has {count} gap{'s' * (count > 1)} longer than {imu.max_gap_s:g} s: first at {first_s:.1f} s, "
+            f"longest {gaps.length_s.max():.1f} s, total {gaps.length_s.sum():.1f} s"
         )
 
     bridged, notes = gaps.within(start_ns, end_ns), list[Note]()
-    turned_rad = bridged.rate_sd_radps * bridged.length_s  # what the vehicle may have turned, unseen
+    turned_rad = bridged.rate_sd_radps * bridged.length_s  # turn that is possible in a gap
     split = bridged if imu.long_gaps == "split" else bridged.where(turned_rad > WIDEST_ATTITUDE_RAD)
     if len(split.start_ns):
         kept_ns = split.longest_stretch(start_ns, end_ns)
         from_s, to_s = ((time_ns - origin_ns) * 1e-9 for time_ns in kept_ns)
         left_out_s = (end_ns - start_ns - kept_ns[1] + kept_ns[0]) * 1e-9
-        hint, why = "--set imu.long_gaps=grow bridges those in which the attitude is not lost", ""
+        hint, why = "to bridge shorter gaps: --set imu.long_gaps=grow", ""
         if imu.long_gaps == "grow":
             unknown_deg = turned_rad.max() / DEG
-            why = f" ({imu.gap_rate_degps:g} deg/s unseen leave the attitude unknown by {unknown_deg:.0f} deg)"
-            hint = "a smaller imu.gap_rate_degps, if the vehicle cannot have turned so fast, bridges them"
+            why = f" (at {imu.gap_rate_degps:g} deg/s the attitude may change by {unknown_deg:.0f} deg in a gap)"
+            hint = "if the vehicle cannot turn so fast, set a smaller imu.gap_rate_degps to bridge the gaps"
         values: dict[str, Any] = {"start": from_s, "end": to_s, "left_out": left_out_s, "why": why, "hint": hint}
         notes.append(note("imu_split", len(split.start_ns), gaps=described(split), **values))
         (start_ns, end_ns), bridged = kept_ns, bridged.within(*kept_ns)
     if count := len(bridged.start_ns):
-        hint = "--set imu.long_gaps=split replays the longest part without"
+        hint = "to replay the longest part without gaps: --set imu.long_gaps=split"
         if bridged.length_s.max() > LONGEST_BRIDGE_S:
-            raise LogError(f"{described(bridged)}; over {LONGEST_BRIDGE_S:g} s nothing can bridge it", hint)
+            raise LogError(f"{described(bridged)}; a gap of over {LONGEST_BRIDGE_S:g} s cannot be bridged", hint)
         notes.append(note("imu_long_gaps", count, gaps=described(bridged), hint=hint))
     return start_ns, end_ns, tuple(notes)
 
 
 def outage_notes(ping_ns: TimeNs, start_ns: int, end_ns: int) -> list[Note]:
-    """State that gravity is held in long outages of the DVL, and how long standard deviations hold in them."""
+    """Note long outages of the DVL, in which gravity is held."""
     ends_ns = np.concatenate([[start_ns], ping_ns, [end_ns]])
     length_ns = np.diff(ends_ns)
     count, longest = int(np.count_nonzero(length_ns > nanoseconds(HOLD_AFTER_S))), int(np.argmax(length_ns))

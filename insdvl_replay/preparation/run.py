@@ -1,8 +1,8 @@
 """The candidates of a prepared dive, run: over the whole of it, from drawn starts, and in windows without the DVL.
 
-A candidate is anything that turns a dive and a start into a trajectory, a `History`. What a history lacks is not
-judged: a covariance, innovations, runs from other starts, windows without the DVL. The compiled filter leaves the
-interpreter to other threads while it runs; on long dives each filter has a thread of its own.
+A candidate is anything that turns a dive and a start into a trajectory, a `History`. Parts that a history lacks are not
+evaluated: a covariance, innovations, runs from other starts, windows without the DVL. The compiled filter leaves the
+interpreter to other threads while it runs; on long dives each filter has its own thread.
 """
 
 import math
@@ -73,7 +73,7 @@ class Candidate(Protocol):
 
 @dataclass(frozen=True)
 class BuiltInFilter:
-    """The tool's own filter, which starts where it is told, and goes on through windows without the DVL."""
+    """The tool's own filter. It starts at a given start, and can run through windows without the DVL."""
 
     settings: ResolvedFilter
 
@@ -316,7 +316,7 @@ def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
     if initial.heading_deg != FIT or starts_posed:
         return prepare_dive(dive, config)
     fitted = fitted_start(dive, config)
-    # As sure as the track is, or less where the configuration is.
+    # The standard deviation of the track's fit, or that of the configuration if it is larger.
     north, east, down = initial.misalignment_sd_deg
     sds = (north, east, max(down, round(fitted.heading_sd_deg, HEADING_DIGITS)))
     started = _started(initial, fitted.heading_deg, fitted.gyro_bias_degph, misalignment_sd_deg=sds)
@@ -332,13 +332,13 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
     baseline is as sure of its heading as configured, and surer of its gyros, for a filter that is unsure turns by
     itself. ConfigError where the reference has no positions, LogError where its track is too short.
     """
-    by_hand = "--set initial.heading_deg=... says it, from north over east"
+    by_hand = "to set it: --set initial.heading_deg=... (from north over east)"
     reference, initial = dive.reference, config.initial
     if reference is None or not reference.has_position:
         with error_context(dive.name):
             raise ConfigError(
-                'initial.heading_deg = "fit" needs positions of a reference, and there are none',
-                f"name them (reference.topic or reference.fix), or {by_hand}",
+                'initial.heading_deg = "fit" needs positions of a reference, but there are none',
+                f"set reference.topic or reference.fix; {by_hand}",
             )
     config = changed(config, filters={config.baseline: config.filters[config.baseline]})
     placed, prior_degph, prior_sd_degph = (
@@ -349,7 +349,7 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
     for _ in range(MOST_ROUNDS):
         if abs(found.heading) < SETTLED_DEG * DEG:
             break
-        # From a start and from two beside it: the filter itself finds a part of either, and turns.
+        # From a start and from two next to it: the filter itself estimates a part of heading and bias, and turns.
         histories = list[History]()
         for heading_step, bias_step in ((0.0, 0.0), (HEADING_STEP_DEG, 0.0), (0.0, bias_step_degph)):
             started = _started(
@@ -368,8 +368,8 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
         fit = heading_fit(time_ns, track_m, per_heading_m, per_bias_m, reference_m, known)
         if fit is None or not fit.heading_sd < LEAST_SURE_DEG * DEG:
             raise LogError(
-                f"{dive.name}: the track of the reference does not tell the heading at the start",
-                f"some tens of metres over two minutes would, of gyros that turn by little meanwhile; {by_hand}",
+                f"{dive.name}: the start heading cannot be determined from the reference's track",
+                f"it needs some tens of metres in two minutes, and gyros that drift little in this time; {by_hand}",
             )
         found = fit
         heading_deg = round((heading_deg + found.heading / DEG) % 360.0, HEADING_DIGITS)

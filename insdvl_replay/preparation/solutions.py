@@ -1,4 +1,4 @@
-"""Recorded solutions of the vehicle beside the filters that are run: aligned where these start, at their times."""
+"""Recorded solutions of the vehicle: aligned with the baseline and interpolated at its times."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -52,8 +52,8 @@ def recorded_history(
     key, notes, origin = f"filters.{name}.solution", list[Note](), baseline.position[0]
     if any(settings.lever_arm_m) and not solution.motion.has_attitude:
         raise ConfigError(
-            f"{key} gives no attitude by which {key}.lever_arm_m could move it to the IMU",
-            f"--set {key}.lever_arm_m=[0,0,0], and its errors hold the lever arm",
+            f"{key} has no attitude, so {key}.lever_arm_m cannot be applied",
+            f"--set {key}.lever_arm_m=[0,0,0] (the errors then contain the lever arm)",
         )
     mat_br, has_own_origin = mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG), solution.moved_n is not None
     align = settings.align or ("position" if has_own_origin else "none")
@@ -85,8 +85,8 @@ def recorded_history(
         in_blocks(
             lambda rows: moved_position(rows, np.broadcast_to(shift_n, rows.shape)), motion.position, motion.position
         )
-        from_own = " from an origin of its own" if has_own_origin else ""
-        moved = "" if has_own_origin else f", {np.linalg.norm(shift_n):.3g} m from where it was"
+        from_own = " (from an unknown origin)" if has_own_origin else ""
+        moved = "" if has_own_origin else f"; they moved by {np.linalg.norm(shift_n):.3g} m"
         since_s = (at_ns - int(baseline.time_ns[0])) / NS_PER_S
         notes.append(
             note("solution_aligned", key=key, origin=from_own, baseline=baseline.filter, since=since_s, moved=moved)
@@ -148,8 +148,8 @@ def _first_ns(motion: ReferenceColumns, quantity: str, key: str, baseline: Histo
     start_ns, end_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
     if not len(known_ns) or known_ns[0] > end_ns or known_ns[-1] < start_ns:
         raise LogError(
-            f"{key}: none of its {quantity} lies in the replay",
-            f"are its times on the log's clock? {key}.latency_s moves them, --start and --end widen the replay",
+            f"{key}: it has no {quantity} in the time of the replay",
+            f"if its clock differs from the log's, set {key}.latency_s; or widen --start and --end",
         )
     return max(start_ns, int(known_ns[0]))
 
@@ -217,7 +217,7 @@ def _interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Fl
 
 
 def _coverage_notes(key: str, motion: ReferenceColumns, history: History) -> Iterator[Note]:
-    """State what a solution does not give, or not all the time, and of what it gives no covariance."""
+    """Note the quantities that a solution lacks or does not cover, and those without covariance."""
     start_ns, end_ns, shares = int(history.time_ns[0]), int(history.time_ns[-1]), dict[str, list[str]]()
     never = [quantity for quantity in QUANTITIES if not motion.known[quantity].any()]
     if never:
