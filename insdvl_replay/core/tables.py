@@ -1,13 +1,12 @@
 """The tables of a result: the only place where a table is described.
 
-A row type says what its columns hold, which is better, and under which heading people see them. Files, messages,
-schemas, gates, comparisons and shown tables are derived from it. Numbers that are missing are NaN as they are computed,
-and None in a row.
+A row type has the meaning, direction and heading of each column. Files, messages, schemas, gates, comparisons and shown
+tables are derived from it. Missing numbers are NaN in computations and None in a row.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Annotated, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
@@ -34,10 +33,10 @@ Number = float | None
 # What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES.
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 Kind = Literal["text", "count", "number"]
-# End of the name of a column whose numbers are percentages, and change by percentage points.
+# End of the name of a percentage column. Its changes are in percentage points.
 PERCENTAGE: Final = "_pct"
 UNITS: Final = {PERCENTAGE: "%", "_s": "s", "_mps": "m/s", "_m": "m"}  # Units by the end of a column's name.
-RATIO: Final = "ratio"  # So begin columns without a unit.
+RATIO: Final = "ratio"  # Columns whose names begin with this have no unit.
 
 
 def finite(number: Number) -> float:
@@ -49,17 +48,19 @@ def finite(number: Number) -> float:
 class Col:
     """One column of a row type, as an annotation of its field."""
 
-    comment: str = ""  # what it holds, and those after it until the next one with a comment
-    better: Better | None = None  # None for words, counts and limits that are neither better nor worse
-    primary: bool = False  # a reader looks at it first
-    names: tuple[str, ...] | None = None  # what it names, if it names the row; empty where that is the user's choice
-    best_first: tuple[str, ...] = ()  # the words that have a rank
-    head: str = ""  # people see the column under it; ``{filter}`` and ``{baseline}`` are names. Empty: they do not
-    form: str = ""  # how it is written, a key of `show.document.FORMS`
+    comment: str = ""  # meaning of this column and of those after it until the next comment
+    better: Better | None = None  # None for words, counts and limits
+    primary: bool = False  # the main column of the table
+    names: tuple[str, ...] | None = (
+        None  # possible names of a row, if the column names the row; empty if the user chooses them
+    )
+    best_first: tuple[str, ...] = ()  # the ranked words
+    head: str = ""  # heading of the shown column, with ``{filter}`` and ``{baseline}``; empty: not shown
+    form: str = ""  # format, a key of `show.document.FORMS`
 
 
 class TableLayout:
-    """A table without its rows, as its row type describes it."""
+    """The layout of a table, from its row type."""
 
     def __init__(self, name: str, row: type[Struct]) -> None:
         hints = get_type_hints(row, include_extras=True)
@@ -69,21 +70,24 @@ class TableLayout:
         self.kinds: dict[str, Kind] = {}
         for column in row.__struct_fields__:
             kind, *parts = get_args(hints[column]) if get_origin(hints[column]) is Annotated else (hints[column],)
+            described = next((part.description or "" for part in parts if isinstance(part, Meta)), "")
             self.columns[column] = next((part for part in parts if isinstance(part, Col)), Col())
+            if described and not self.columns[column].comment:
+                self.columns[column] = replace(self.columns[column], comment=f"{described[0].upper()}{described[1:]}.")
             self.kinds[column] = "text" if kind is str else "count" if kind is int else "number"
-        # The column that, with log and filter, names a row, and what it may name; empty for names of the user.
+        # The column that names a row together with log and filter, and its possible names; empty if users choose them.
         self.key = next((column for column, found in self.columns.items() if found.names is not None), "filter")
         self.rows = self.columns[self.key].names or () if self.key in self.columns else ()
         self.better = {column: found.better for column, found in self.columns.items() if found.better}
         self.primary = next((column for column, found in self.columns.items() if found.primary), "")
         self.words = {column: found.best_first for column, found in self.columns.items() if found.best_first}
-        self.about: str = getattr(row, "about", row.__doc__ or "")  # what a row says
-        self.baseline_too: bool = getattr(row, "baseline_too", False)  # else it is next to each candidate
+        self.about: str = getattr(row, "about", row.__doc__ or "")  # meaning of a row
+        self.baseline_too: bool = getattr(row, "baseline_too", False)  # else it has a row for each candidate only
         self.title: str = getattr(row, "title", "")
         self.footnote: str = getattr(row, "footnote", "")
 
     def unit_of(self, column: str, row_unit: str) -> str:
-        """Return a column's unit: by the end of its name, none of a ratio, else the row's of what can be better."""
+        """Return a column's unit: by the end of its name, none for a ratio, else the row's unit."""
         if unit := next((unit for ending, unit in UNITS.items() if column.endswith(ending)), ""):
             return unit
         return row_unit if column in self.better and not column.startswith(RATIO) else ""
@@ -95,7 +99,7 @@ def layout_of(name: str, row: type[Struct]) -> TableLayout:
     return TableLayout(name, row)
 
 
-_WHY: Final = Col("Why the verdict is not what the interval says, if it is not.")
+_WHY: Final = Col("Reason, if the verdict differs from the interval.")
 _STATE: Final = Col(names=tuple(state.id for state in STATES), head="state", form="label")
 _MEASUREMENTS: Final = tuple(
     row for name, axes in MEASUREMENTS.items() for row in (name, *(axis_of(name, axis) for axis in axes))
@@ -112,25 +116,25 @@ def _unit(comment: str) -> Col:
 
 
 class ImprovementRow(Struct, frozen=True):
-    """What a candidate believes of one state at the end of the dive, beside the baseline."""
+    """One state: the predicted standard deviations of a candidate and of the baseline at the end of the dive."""
 
     about: ClassVar = (
-        "One state at the end of a dive: how much smaller the candidate's believed standard deviation is than the"
+        "One state at the end of a dive: how much smaller the candidate's predicted standard deviation is than the"
         " baseline's."
     )
 
-    title: ClassVar = "Improvement: standard deviations at the end, {filter} against {baseline}"
+    title: ClassVar = "Predicted improvement: standard deviations at the end, {filter} against {baseline}"
 
     log: Annotated[str, Col("Dive, candidate and state.")]
     filter: str
     state: Annotated[str, _STATE]
     unit: Annotated[str, _unit("Unit of the standard deviations.")]
-    baseline_sd: Annotated[Number, Col(head="{baseline}", better="lower")]
+    baseline_sd: Annotated[Number, Col("Predicted standard deviations at the end.", head="{baseline}", better="lower")]
     sd: Annotated[Number, Col(head="{filter}", better="lower", primary=True)]
     improvement_pct: Annotated[
         Number,
         Col(
-            "(baseline - candidate) / baseline; NaN where there is none.",
+            "(baseline - candidate) / baseline; NaN if unknown.",
             head="improvement",
             form="percent",
             better="higher",
@@ -140,52 +144,56 @@ class ImprovementRow(Struct, frozen=True):
 
 
 class ConvergenceRow(Struct, frozen=True):
-    """One state: how much sooner the candidate reaches for good the standard deviation that the baseline ends with."""
+    """One state: when the candidate's standard deviation stays below the baseline's final one."""
 
-    title: ClassVar = "Convergence: when {filter} is as sure as {baseline} is at the end"
+    title: ClassVar = "Predicted convergence: when sigma of {filter} stays below the final sigma of {baseline}"
 
     log: Annotated[str, Col("Dive, candidate and state.")]
     filter: str
     state: Annotated[str, _STATE]
-    unit: Annotated[str, _unit("Unit of the standard deviation to reach.")]
-    target_sd: Annotated[Number, Col(head="target", better="lower")]
+    unit: Annotated[str, _unit("Unit of the target.")]
+    target_sd: Annotated[Number, Col("The baseline's final standard deviation.", head="target", better="lower")]
     baseline_s: Annotated[
         Number,
-        Col("Times from the start at which the baseline and the candidate have it; NaN for never.", better="lower"),
+        Col("Times from the start at which the baseline and the candidate reach it; NaN for never.", better="lower"),
     ]
     reached_s: Annotated[Number, Col(head="{filter}\n[s]", better="lower", primary=True)]
-    improvement_pct: Annotated[Number, Col(head="sooner", form="percent", better="higher")]
+    improvement_pct: Annotated[
+        Number, Col("How much sooner the candidate reaches it.", head="faster", form="percent", better="higher")
+    ]
     status: Annotated[str, Col("reached, at_start or never.", head="status", form="words")]
     measured_target: Annotated[
-        Number, Col("Rms of the baseline's true errors at the end, over starts that are drawn from P0.", better="lower")
+        Number, Col("Rms of the baseline's true errors at the end, over starts drawn from P0.", better="lower")
     ] = None
     measured_baseline_s: Annotated[
         Number,
         Col(
-            "Times from which on the errors of the baseline and of the candidate stay there; NaN for never.",
+            "Times from which the true errors of the baseline and of the candidate stay there; NaN for never.",
             better="lower",
         ),
     ] = None
     measured_s: Annotated[Number, Col(better="lower")] = None
     measured_status: Annotated[str, Col("reached, at_start, never or not measured.")] = ""
     unchanged_s: Annotated[
-        Number, Col("Time at which the baseline itself came to stay there, and a candidate does that changes nothing.")
+        Number, Col("Time from which the baseline stays at the target: the result of a candidate without any change.")
     ] = None
     nearest_approach_s: Annotated[
         Number,
         Col(
-            "When the candidate's standard deviation is nearest to the target: Levy and Klein's time.",
+            "Time at which the candidate's standard deviation is nearest to the target, as Levy and Klein count.",
             head="nearest\n[s]",
             better="lower",
         ),
     ] = None
-    nearest_approach_improvement_pct: Annotated[Number, Col(head="sooner", form="percent", better="higher")] = None
+    nearest_approach_improvement_pct: Annotated[
+        Number, Col("How much sooner that is than the baseline's time.", head="faster", form="percent", better="higher")
+    ] = None
 
 
 class ReferenceErrorRow(Struct, frozen=True):
     """One quantity: errors of the baseline and of the candidate against the reference solution."""
 
-    title: ClassVar = "Reference error: distance from the reference, {filter} against {baseline}"
+    title: ClassVar = "Reference error: {filter} against {baseline}"
 
     log: Annotated[str, Col("Dive, candidate and quantity.")]
     filter: str
@@ -193,7 +201,9 @@ class ReferenceErrorRow(Struct, frozen=True):
     unit: Annotated[str, _unit("Unit of the errors.")]
     baseline_rmse: Annotated[Number, Col("Root mean square over the dive.", head="{baseline}\nrms", better="lower")]
     rmse: Annotated[Number, Col(head="{filter}\nrms", better="lower", primary=True)]
-    improvement_pct: Annotated[Number, Col(head="better", form="percent", better="higher")]
+    improvement_pct: Annotated[
+        Number, Col("How much smaller the candidate's rms is.", head="improvement", form="percent", better="higher")
+    ]
     baseline_final: Annotated[
         Number, Col("At the last reference time, with its sign.", head="{baseline}\nfinal", better="nearer zero")
     ]
@@ -203,26 +213,25 @@ class ReferenceErrorRow(Struct, frozen=True):
 
 
 class ConsistencyRow(Struct, frozen=True):
-    """Whether a filter's innovations are as large as it says."""
+    """Whether a filter's innovations are as large as it predicts."""
 
     about: ClassVar = (
-        "One kind of measurement or one of its axes: do the innovations of a filter have the size that the filter"
-        " expects?"
+        "One measurement or one of its axes: are the innovations of a filter as large as the filter predicts?"
     )
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Consistency: mean NIS and where 95 % of consistent filters would have it"
+    title: ClassVar = "Consistency: mean NIS, with the interval that holds 95 % of consistent filters"
 
     log: Annotated[str, Col("Dive, filter, and measurement such as velocity, or an axis of it such as velocity_x.")]
     filter: Annotated[str, Col(head="filter")]
     measurement: Annotated[str, Col(head="measurement", form="words", names=_MEASUREMENTS)]
     dof: Annotated[int, Col("Degrees of freedom of one innovation.")]
-    used: Annotated[int, Col(head="used")]
+    used: Annotated[int, Col("Innovations that were used, and that the gate rejected.", head="used")]
     rejected: Annotated[int, Col(head="rejected", better="lower")]
     mean_nis: Annotated[
         Number,
         Col(
-            "Mean normalised innovation squared, and the interval in which 95 % of consistent filters have it.",
+            "Mean normalised innovation squared, and the interval that holds 95 % of consistent filters.",
             head="NIS",
             better="nearer dof",
             primary=True,
@@ -242,7 +251,7 @@ class ConsistencyRow(Struct, frozen=True):
     autocorrelation: Annotated[
         Number,
         Col(
-            "Correlation of each innovation with the one before, and what 95 % of white innovations stay below.",
+            "Lag-1 correlation of the innovations, and its limit for 95 % of white innovations.",
             better="nearer zero",
         ),
     ] = None
@@ -255,24 +264,26 @@ class ConsistencyRow(Struct, frozen=True):
 
 
 class CredibilityRow(Struct, frozen=True):
-    """Whether a filter's errors against the reference, or the truth, are as large as it says."""
+    """Whether a filter's errors against the reference, or the truth, are as large as its sigma."""
 
     about: ClassVar = (
-        "One quantity: are the errors of a filter against the reference, or the truth, as large as the filter expects?"
+        "One quantity: are the errors of a filter against the reference, or the truth, as large as its sigma?"
     )
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Credibility: errors of {filter} in its own standard deviations"
+    title: ClassVar = "Credibility: errors of {filter} in units of its own sigma"
 
-    log: Annotated[str, Col("Dive, filter, and a quantity or group of them; all is every compared state together.")]
+    log: Annotated[
+        str, Col("Dive, filter, and a quantity or group of quantities; all is all compared states together.")
+    ]
     filter: str
     quantity: Annotated[str, Col(head="quantity", form="short", names=_CREDIBILITY)]
-    dof: Annotated[int, Col("Degrees of freedom of one error, and the times that were compared.")]
+    dof: Annotated[int, Col("Degrees of freedom of one error, and number of compared times.")]
     samples: int
     mean_nees: Annotated[
         Number,
         Col(
-            "Mean normalised error squared, and the interval in which 95 % of consistent filters have it.",
+            "Mean normalised estimation error squared, and the interval that holds 95 % of consistent filters.",
             head="NEES",
             better="nearer dof",
             primary=True,
@@ -283,7 +294,7 @@ class CredibilityRow(Struct, frozen=True):
     within_1sd_pct: Annotated[
         Number,
         Col(
-            "Share of the errors within one and three standard deviations; 68.3 % and 99.7 % are expected.",
+            "Share of the errors within 1 and 3 standard deviations; 68.3 % and 99.7 % are expected.",
             head="in\n1 sd",
             form="1",
         ),
@@ -297,16 +308,14 @@ class CredibilityRow(Struct, frozen=True):
             best_first=VERDICTS_BEST_FIRST,
         ),
     ]
-    effective_samples: Annotated[
-        Number, Col("How many independent samples the compared times are worth.", head="indep.", form="0")
-    ]
+    effective_samples: Annotated[Number, Col("Effective samples behind the mean.", head="effective\nsamples", form="0")]
     why: Annotated[str, _WHY] = ""
 
 
 class EvidenceRow(Struct, frozen=True):
-    """One piece of evidence on a candidate beside the baseline: what was measured, and what it says."""
+    """One measured comparison of a candidate with the baseline, and its verdict."""
 
-    title: ClassVar = "Evidence: what was measured, {filter} against {baseline}"
+    title: ClassVar = "Evidence: measured, {filter} against {baseline}"
 
     log: Annotated[str, Col("Dive, candidate, kind of evidence and quantity.")]
     filter: str
@@ -316,7 +325,7 @@ class EvidenceRow(Struct, frozen=True):
     baseline: Annotated[
         Number,
         Col(
-            "What the baseline and the candidate have on this dive, from its own start: a root mean square, a final "
+            "Values of the baseline and the candidate on this dive, from its own start: a root mean square, a final "
             "error, or the time of convergence from drawn starts.",
             head="{baseline}",
             better="lower",
@@ -326,7 +335,7 @@ class EvidenceRow(Struct, frozen=True):
     ratio: Annotated[
         Number,
         Col(
-            "Candidate over baseline, of accuracy over all drawn starts, and its 95 % interval on this dive: other "
+            "Candidate over baseline, and its 95 % interval on this dive. Accuracy: over all drawn starts. Other "
             "dives may differ by more.",
             head="ratio",
             form="ratio",
@@ -337,9 +346,9 @@ class EvidenceRow(Struct, frozen=True):
     low: Annotated[Number, Col(head="low", form="ratio")]
     high: Annotated[Number, Col(head="high", form="ratio")]
     effective_samples: Annotated[
-        Number, Col("How many independent values the ratio and its interval rest on.", head="n", form="0")
+        Number, Col("Independent values behind the ratio and its interval.", head="n", form="0")
     ]
-    starts: Annotated[int, Col("Starts that were replayed, and stretches of the dive or windows that were compared.")]
+    starts: Annotated[int, Col("Number of starts, and of compared stretches or windows.")]
     windows: int
     verdict: Annotated[
         str,
@@ -357,42 +366,41 @@ class EvidenceRow(Struct, frozen=True):
     p: Annotated[
         Number,
         Col(
-            "Of a true difference of at most 5 %, by Student's t or by drawn starts: below 0.01 the row decides.",
+            "Probability of such data with a true difference of at most 5 %, by Student's t or by drawn starts. Below "
+            "0.01 the row decides.",
             head="p",
             form="4",
         ),
     ] = None
-    why: Annotated[str, Col("What keeps the row from deciding, if it is not the interval.", head="why")] = ""
+    why: Annotated[str, Col("Reason why the row does not decide, if it is not the interval.", head="why")] = ""
 
 
 class OutageRow(Struct, frozen=True):
-    """How far a filter drifts in some time without velocities, beside the baseline."""
+    """Drift of a filter during a DVL outage of one length, compared with the baseline."""
 
     about: ClassVar = (
-        "Windows of one length in which every velocity was withheld from a filter: how far it went astray by what"
-        " the withheld velocities say. Where a wrong heading, scale or mounting about down takes the track is not"
-        " seen."
+        "DVL outages of one length: drift of a filter without velocities, measured by the held-out velocities."
+        " Errors of heading, scale and mounting about down cannot be seen."
     )
 
     baseline_too: ClassVar = True
-    title: ClassVar = "DVL outage test: drift while the DVL is withheld"
+    title: ClassVar = "DVL outage test: drift without the DVL"
     footnote: ClassVar = (
-        "Where a wrong heading, scale or constant turn of the mounting takes the track is not seen: the DVL itself "
-        "shares it."
+        "Drift by a wrong heading, scale or mounting about down cannot be seen, since the DVL shares it."
     )
 
     log: Annotated[str, Col("Dive, filter and length of the windows.")]
     filter: Annotated[str, Col(head="filter")]
-    window_s: Annotated[str, Col(head="for [s]", names=OUTAGE_WINDOWS_S)]
+    window_s: Annotated[str, Col(head="outage\n[s]", names=OUTAGE_WINDOWS_S)]
     windows: Annotated[
-        int, Col("Windows that do not overlap, and those left out since DVL or IMU fell silent.", head="windows")
+        int, Col("Windows that do not overlap, and windows left out because of a gap of DVL or IMU.", head="windows")
     ]
     left_out: int
     drift_median_m: Annotated[
         Number,
         Col(
-            "Horizontal drift at the end of a window: median, root mean square and 95th percentile, which of fewer "
-            "than 20 windows is nearly the largest.",
+            "Horizontal drift at the end of a window: median, root mean square and 95th percentile. With fewer than 20 "
+            "windows the percentile is nearly the largest.",
             head="median\n[m]",
             better="lower",
             primary=True,
@@ -402,10 +410,15 @@ class OutageRow(Struct, frozen=True):
     drift_p95_m: Annotated[Number, Col(head="95 %\n[m]", better="lower")]
     drift_of_distance_pct: Annotated[
         Number,
-        Col("Median over windows; NaN where the vehicle hardly moved.", head="of way\n[%]", form="2", better="lower"),
+        Col(
+            "Drift in percent of the distance travelled, median over windows; NaN if the vehicle hardly moved.",
+            head="of\ndistance\n[%]",
+            form="2",
+            better="lower",
+        ),
     ]
     end_velocity_mps: Annotated[Number, Col("Median horizontal velocity error at the end.", better="lower")]
-    vertical_median_m: Annotated[Number, Col("Median vertical drift, either way.", head="down\n[m]", better="lower")]
+    vertical_median_m: Annotated[Number, Col("Median vertical drift, absolute.", head="depth\n[m]", better="lower")]
     ratio_to_baseline: Annotated[
         Number,
         Col(
@@ -420,7 +433,7 @@ class OutageRow(Struct, frozen=True):
     windows_won_pct: Annotated[
         Number,
         Col(
-            "Windows in which it drifts less than the baseline; a draw counts half.",
+            "Share of windows with less drift than the baseline; a tie counts half.",
             head="won\n[%]",
             form="0",
             better="higher",
@@ -428,29 +441,33 @@ class OutageRow(Struct, frozen=True):
     ]
     nis_per_dof: Annotated[
         Number,
-        Col("Mean over windows, of the last withheld velocity; 1 is expected.", head="NIS\n/ dof", form="significant"),
+        Col(
+            "NIS/dof of the last held-out velocity, mean over windows; 1 is expected.",
+            head="NIS\n/ dof",
+            form="significant",
+        ),
     ]
 
 
 class DriftRow(Struct, frozen=True):
-    """One quantity: the errors of a filter against the reference half of the time, mostly, at worst."""
+    """One quantity: median, 95th percentile, rms and largest error of a filter against the reference."""
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Drift: how far each filter is from the reference"
+    title: ClassVar = "Drift: errors against the reference"
     footnote: ClassVar = (
-        "50 % and 95 % of the sizes stay below; of the position these are CEP50 and CEP95. Drift: what the horizontal "
-        "position error changes by over a stretch."
+        "50 % and 95 % of the errors are smaller than the values in these columns; for the position they are CEP50 and "
+        "CEP95. Drift: change of the horizontal position error over a time or distance."
     )
 
     log: Annotated[str, Col("Dive, filter and quantity: the position, its drift over stretches, or the velocity.")]
     filter: Annotated[str, Col(head="filter")]
     quantity: Annotated[str, _quantity(tuple(DRIFT_QUANTITIES))]
     unit: Annotated[str, _unit("Unit of the errors.")]
-    samples: Annotated[int, Col("Times, or stretches, which overlap, that were compared.")]
+    samples: Annotated[int, Col("Number of compared times, or of overlapping stretches.")]
     p50: Annotated[
         Number,
         Col(
-            "What half and 95 % of the sizes stay below, of the position CEP50 and CEP95; and the root mean square.",
+            "50 % and 95 % of the absolute errors are smaller (CEP50 and CEP95 for the position); and the rms.",
             head="50 %",
             better="lower",
             primary=True,
@@ -458,54 +475,58 @@ class DriftRow(Struct, frozen=True):
     ]
     p95: Annotated[Number, Col(head="95 %", better="lower")]
     rms: Annotated[Number, Col(head="rms", better="lower")]
-    worst: Annotated[Number, Col("The largest size.", head="worst", better="lower")]
+    worst: Annotated[Number, Col("The largest absolute error.", head="worst", better="lower")]
     worst_from_s: Annotated[
         Number,
-        Col("Where it begins and ends, from the start; of the others than drift once.", head="from\n[s]", form="0"),
+        Col(
+            "Begin and end of its stretch, from the start; equal for rows without a stretch.",
+            head="from\n[s]",
+            form="0",
+        ),
     ]
     worst_to_s: Annotated[Number, Col(head="to\n[s]", form="0")]
-    final: Annotated[Number, Col("The last size.", better="lower")] = None
+    final: Annotated[Number, Col("The last absolute error.", better="lower")] = None
     distance_m: Annotated[Number, Col("Distance travelled to the last compared position.")] = None
     final_of_distance_pct: Annotated[
-        Number, Col("Of the position: the final error in percent of that distance.", better="lower")
+        Number, Col("Final position error in percent of that distance.", better="lower")
     ] = None
 
 
 class JumpRow(Struct, frozen=True):
-    """A filter whose position can jump: the steps of it that neither its velocity nor the steps around explain."""
+    """Position steps of a filter that neither its velocity nor the neighbouring steps explain."""
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Jumps: steps of the position that its own velocity does not explain"
+    title: ClassVar = "Jumps: position steps that the velocity does not explain"
     footnote: ClassVar = (
-        "What neither the velocity nor one of the three steps before and after explains of a horizontal step; a jump "
-        "is more than 0.5 m and ten robust standard deviations of what usually is. Filters that go by their velocity "
-        "alone have none."
+        "Unexplained: the part of a horizontal step that neither the velocity nor one of the three steps before and "
+        "after explains. A jump is more than 0.5 m and more than ten robust standard deviations. Filters that only "
+        "integrate their velocity have none."
     )
 
-    log: Annotated[str, Col("Dive and filter: a solution that was read, or one that estimates its position.")]
+    log: Annotated[str, Col("Dive and filter: an onboard solution, or a filter that estimates its position.")]
     filter: Annotated[str, Col(head="filter")]
-    steps: Annotated[int, Col("Steps from a horizontal position to the next that were looked at.", head="steps")]
+    steps: Annotated[int, Col("Number of examined horizontal position steps.", head="steps")]
     jumps: Annotated[
         int,
         Col(
-            "Those of which more than 0.5 m, and ten robust standard deviations of what usually is, is unexplained.",
+            "Steps with more than 0.5 m, and more than ten robust standard deviations, unexplained.",
             head="jumps",
             better="lower",
             primary=True,
         ),
     ]
-    largest_m: Annotated[Number, Col("The most of a step that is unexplained.", head="largest\n[m]", better="lower")]
-    largest_at_s: Annotated[Number, Col("Where that step ends, from the start.", head="at\n[s]", form="1")]
+    largest_m: Annotated[Number, Col("Largest unexplained part of a step.", head="largest\n[m]", better="lower")]
+    largest_at_s: Annotated[Number, Col("End of that step, from the start.", head="at\n[s]", form="1")]
 
 
 class TrackFitRow(Struct, frozen=True):
-    """The scale or the turn that would lay a filter's track on the reference's, with standard error."""
+    """The scale or the turn that aligns a filter's track with the reference's, with standard error."""
 
     baseline_too: ClassVar = True
-    title: ClassVar = "Track fit: what would lay each track on the reference's"
+    title: ClassVar = "Track fit: scale and turn that align each track with the reference's"
     footnote: ClassVar = (
-        "Scale: positive where the filter's track is too small. Turn: clockwise from above. Standard errors allow for "
-        "noise, and not for a heading that drifts."
+        "Scale: positive if the filter's track is too small. Turn: clockwise from above. The standard errors allow for "
+        "noise, but not for heading drift."
     )
 
     log: Annotated[str, Col("Dive, filter, and scale or turn.")]
@@ -515,7 +536,7 @@ class TrackFitRow(Struct, frozen=True):
     fitted: Annotated[
         Number,
         Col(
-            "Scale: positive where its track is too small. Turn: clockwise.",
+            "Scale: positive if the filter's track is too small. Turn: clockwise from above.",
             head="fitted",
             form="3",
             better="nearer zero",
@@ -523,24 +544,24 @@ class TrackFitRow(Struct, frozen=True):
         ),
     ]
     fitted_sd: Annotated[
-        Number, Col("Standard error by noise, without a heading that drifts; NaN of a short dive.", head="sd", form="3")
+        Number, Col("Standard error by noise, without heading drift; NaN for a short dive.", head="sd", form="3")
     ]
 
 
 class PooledRow(Struct, frozen=True):
-    """One piece of evidence on a candidate beside the baseline, over several dives."""
+    """One comparison of a candidate with the baseline, pooled over several dives."""
 
     title: ClassVar = "All dives together: {filter} against {baseline}"
     footnote: ClassVar = (
-        "geometric mean of the dives' ratios, its 95 % interval over dives, and p, both by Student's t, each dive one "
-        "sample; three dives are the fewest that decide"
+        "ratio: geometric mean over dives. low, high: its 95 % interval over dives. Interval and p: Student's t, each "
+        "dive is one sample. At least three dives are needed to decide."
     )
 
-    log: Annotated[str, Col("Every dive, candidate, kind of evidence and quantity.")]
+    log: Annotated[str, Col("* for all dives, then candidate, kind of evidence and quantity.")]
     filter: str
     evidence: str
     quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
-    unit: Annotated[str, Col("Unit of the two values, which are medians over the dives.")]
+    unit: Annotated[str, Col("Unit of the values of baseline and candidate, which are medians over the dives.")]
     baseline: Number
     value: Number
     ratio: Annotated[
@@ -555,19 +576,22 @@ class PooledRow(Struct, frozen=True):
     ]
     low: Annotated[Number, Col(head="low", form="ratio")]
     high: Annotated[Number, Col(head="high", form="ratio")]
-    dives: Annotated[
-        int, Col("Dives that have a ratio, and those of them in which the candidate errs less.", head="dives")
-    ]
+    dives: Annotated[int, Col("Dives with a ratio, and those of them in which the candidate is better.", head="dives")]
     dives_won: Annotated[int, Col(head="won")]
     p: Annotated[
         Number,
-        Col("Of a true difference of at most 5 %, by Student's t: below 0.01 the row decides.", head="p", form="4"),
+        Col(
+            "Probability of such data with a true difference of at most 5 %, by Student's t. Below 0.01 the row "
+            "decides.",
+            head="p",
+            form="4",
+        ),
     ]
-    verdict: Annotated[str, Col(head="verdict")]
+    verdict: Annotated[str, Col("better, worse, equivalent or undecided.", head="verdict")]
 
 
 class Tables(Struct, frozen=True):
-    """The tables, row for row as in the CSV files; null for what is missing. Early reports lack the last six."""
+    """The tables, with the rows of the CSV files; missing values are null. Early reports lack the last six."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
@@ -582,40 +606,50 @@ class Tables(Struct, frozen=True):
 
 
 class CandidateVerdict(Struct, frozen=True):
-    """What there is to say of one candidate."""
+    """One candidate: its verdict, its consistency and its mean predicted improvement."""
 
-    sentence: Annotated[str, Meta(description="one paragraph for people: measured, predicted, consistent")]
+    sentence: Annotated[str, Meta(description="one paragraph for people: measured, predicted, consistency")]
     verdict: Annotated[
         str,
-        Meta(description="better, worse, mixed, equivalent, undecided or not evaluated, by all evidence"),
+        Meta(description="verdict of all evidence: better, worse, mixed, equivalent, undecided or not evaluated"),
         Col(best_first=tuple(Verdict)),
     ]
     consistency: Annotated[
-        str, Meta(description="the gravest verdict of its measurements"), Col(best_first=VERDICTS_BEST_FIRST)
+        str, Meta(description="worst consistency of its measurements (NIS)"), Col(best_first=VERDICTS_BEST_FIRST)
     ]
     mean_improvement_pct: Annotated[
-        Number, Meta(description="believed; nine states, without the velocity errors"), Col(better="higher")
+        Number,
+        Meta(
+            description="how much smaller its predicted sigma is at the end, mean of nine states (no velocity errors)"
+        ),
+        Col(better="higher"),
     ]
     mean_convergence_improvement_pct: Annotated[
-        Number, Meta(description="the same nine; never and at start count 0"), Col(better="higher")
+        Number,
+        Meta(
+            description="how much faster its sigma converges, mean of the same nine states; never and at_start count 0"
+        ),
+        Col(better="higher"),
     ]
     reference_improvement_pct: Annotated[
-        Number, Meta(description="actual; median over the compared quantities"), Col(better="higher", primary=True)
+        Number,
+        Meta(description="how much smaller its error against the reference is, median over the compared quantities"),
+        Col(better="higher", primary=True),
     ]
     credibility: Annotated[
-        str, Meta(description="the gravest verdict of its errors against the reference, among the groups of states")
+        str, Meta(description="worst consistency of its errors against the reference, over the groups of states (NEES)")
     ] = ""
     prediction: Annotated[
         str,
-        Meta(description="whether what was measured bears out what it believes: confirmed, not confirmed, undecided"),
+        Meta(description="whether the predicted improvement was measured: confirmed, not confirmed or undecided"),
         Col(best_first=tuple(Prediction)),
     ] = ""
     mean_convergence_unchanged_pct: Annotated[
-        Number, Meta(description="the mean convergence improvement that a candidate has which changes nothing")
+        Number, Meta(description="mean convergence improvement of a candidate without any change")
     ] = None
     mean_nearest_approach_improvement_pct: Annotated[
         Number,
-        Meta(description="the same nine; by the nearest approach, as Levy and Klein count"),
+        Meta(description="as mean_convergence_improvement_pct, by the nearest approach, as Levy and Klein count"),
         Col(better="higher"),
     ] = None
 
@@ -623,9 +657,9 @@ class CandidateVerdict(Struct, frozen=True):
 TABLES: Final[tuple[TableLayout, ...]] = tuple(
     layout_of(name, row) for name, rows in get_type_hints(Tables).items() for row in get_args(rows)
 )
-# The block ``filters`` of a report, read as a table with one row for each candidate.
+# The block ``filters`` of a report as a table with one row for each candidate.
 CANDIDATES: Final = layout_of("filters", CandidateVerdict)
-LAYOUTS: Final = (CANDIDATES, *TABLES)  # All that results are compared by, in the order of what a reader asks first.
+LAYOUTS: Final = (CANDIDATES, *TABLES)  # All tables that results are compared by, most important first.
 
 
 def each_table(tables: Tables) -> Iterator[tuple[TableLayout, Sequence[Struct]]]:

@@ -1,10 +1,10 @@
-"""The words of results: every verdict, status, severity and change, once. Their values stand in files and scripts."""
+"""The words of results: every verdict, status, severity and change. Their values are used in files and scripts."""
 
 from enum import StrEnum
 
 
 class Consistency(StrEnum):
-    """Whether innovations, or errors against a reference, are as large as a filter says."""
+    """Whether innovations, or errors against a reference, are as large as a filter predicts."""
 
     CONSISTENT = "consistent"
     CONSERVATIVE = "conservative"
@@ -13,24 +13,24 @@ class Consistency(StrEnum):
     INSUFFICIENT = "insufficient data"
     NOT_IN_REFERENCE = "not in reference"
     NO_REFERENCE = "no reference"
-    # A solution that was read has no innovations, or no covariance; or a filter lacks states for a withheld sensor.
+    # An onboard solution without innovations or covariance; or a filter lacks states for a held-out sensor.
     NOT_AVAILABLE = "not available"
 
 
 class Reason(StrEnum):
-    """Why a verdict of `Consistency` is not what the interval of the mean says."""
+    """Why a verdict of `Consistency` differs from the interval of the mean."""
 
     NONE = ""
-    NEAR = "within 10 %"  # Outside, but so near to what is expected that it does not matter.
-    # Below: a filter that starts on the reference errs less than it allows for, for as long as it remembers that.
+    NEAR = "within 10 %"  # Outside, but so near to the expected value that it does not matter.
+    # Below: a filter that starts on the reference has smaller errors than its sigma for a while.
     EXACT_START = "as from an exact start"
-    # Below, but an error of the filter that stays tells of itself once, and may be small by chance.
+    # Below, but a lasting error is one sample and may be small by chance.
     ONE_SAMPLE = "a difference that stays is one sample"
     BEYOND_3_SD = "many beyond 3 sd"  # Inside, but more errors than chance allows are beyond three standard deviations.
 
 
 class Whiteness(StrEnum):
-    """Whether innovations have used all that a measurement could tell."""
+    """Whether innovations are white, as those of an optimal filter."""
 
     WHITE = "white"
     CORRELATED = "correlated"
@@ -39,28 +39,28 @@ class Whiteness(StrEnum):
 
 
 class EvidenceVerdict(StrEnum):
-    """What one piece of evidence says of a candidate beside the baseline."""
+    """The verdict of one evidence row on a candidate."""
 
     BETTER = "better"
-    EQUIVALENT = "equivalent"  # As good within the margin, and that is sure.
-    UNDECIDED = "undecided"  # The dive holds too little to tell.
+    EQUIVALENT = "equivalent"  # Surely within the margin of 5 %.
+    UNDECIDED = "undecided"  # The data cannot tell.
     WORSE = "worse"
 
 
 class Verdict(StrEnum):
-    """What all evidence says of a candidate beside the baseline."""
+    """The verdict of all evidence on a candidate."""
 
-    BETTER = "better"  # In something, and in nothing worse.
+    BETTER = "better"  # Better in some row, worse in none.
     EQUIVALENT = "equivalent"
     UNDECIDED = "undecided"
     MIXED = "mixed"
     WORSE = "worse"
-    # The candidate, or the baseline, is dead or set wrong: its numbers say nothing of gain or loss.
+    # The candidate or the baseline diverged or is misconfigured, so their numbers cannot be compared.
     NOT_EVALUATED = "not evaluated"
 
 
 class Prediction(StrEnum):
-    """Whether what was measured bears out what a candidate believes to have gained."""
+    """Whether the predicted improvement of a candidate was measured."""
 
     CONFIRMED = "confirmed"
     UNDECIDED = "undecided"
@@ -68,7 +68,7 @@ class Prediction(StrEnum):
 
 
 class ImprovementStatus(StrEnum):
-    """What became of a standard deviation at the end of the dive."""
+    """Change of a standard deviation at the end of the dive."""
 
     IMPROVED = "improved"
     SAME = "same"
@@ -77,29 +77,29 @@ class ImprovementStatus(StrEnum):
 
 
 class ConvergenceStatus(StrEnum):
-    """Whether a candidate becomes, and stays, as sure as the baseline is at the end."""
+    """Whether the sigma of a candidate stays below the final sigma of the baseline."""
 
     REACHED = "reached"
     AT_START = "at_start"
     NEVER = "never"
-    NOT_MEASURED = "not measured"  # No reference, or truth, knows the error, or no start was drawn.
+    NOT_MEASURED = "not measured"  # No reference or truth has the error, or no start was drawn.
 
 
 class ReferenceStatus(StrEnum):
-    """Whether an error against the reference says something of the filters."""
+    """Whether an error against the reference can be used."""
 
     COMPARED = "compared"
     NO_REFERENCE = "no reference"
     NOT_IN_REFERENCE = "not in reference"
-    # The candidate is a solution that was read, and says nothing of it where the reference does.
+    # The candidate is an onboard solution without this quantity at the times of the reference.
     NOT_IN_SOLUTION = "not in solution"
     NO_DISTANCE = "no distance"
-    PARTLY_COVERED = "partly covered"  # The reference knows the quantity in a part of the replay alone.
-    LOST_IN_GAP = "lost in gap"  # The IMU was silent for long, and nothing brings the position back.
+    PARTLY_COVERED = "partly covered"  # The reference has the quantity only in a part of the replay.
+    LOST_IN_GAP = "lost in gap"  # The position was lost in a long IMU gap.
 
 
 class DirectionStatus(StrEnum):
-    """What measurements show of a direction of the error state."""
+    """How well measurements determine a direction of the error state."""
 
     UNOBSERVABLE = "unobservable"
     WEAK = "weak"
@@ -107,21 +107,21 @@ class DirectionStatus(StrEnum):
 
 
 class Severity(StrEnum):
-    """Whether a note may change how far the tables are to be believed."""
+    """Whether a note may affect the trust in the tables."""
 
     INFO = "info"
     WARNING = "warning"  # ``--strict`` makes it an error.
 
 
 class Reading(StrEnum):
-    """How much of the messages was read to know a log."""
+    """How much of a log was read to inspect it."""
 
     SAMPLE = "sample"
     WHOLE = "whole"
 
 
 class GateLevel(StrEnum):
-    """What a gate that is not passed does."""
+    """The effect of a failed gate."""
 
     ERROR = "error"
     WARN = "warn"
@@ -129,9 +129,9 @@ class GateLevel(StrEnum):
 
 
 class GateStatus(StrEnum):
-    """What became of a gate on a dive, in the order in which a check lists it."""
+    """The result of a gate on a dive, in the order of a check's list."""
 
-    UNUSABLE = "unusable"  # The dive could not be replayed, or its result not be read.
+    UNUSABLE = "unusable"  # The dive could not be replayed, or its result could not be read.
     FAILED = "failed"
     WARNING = "warning"
     OFF = "off"
@@ -139,7 +139,7 @@ class GateStatus(StrEnum):
 
 
 class ChangeVerdict(StrEnum):
-    """What became of a cell, in the order in which a comparison counts it."""
+    """The change of a value, in the order of a comparison's counts."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -150,19 +150,19 @@ class ChangeVerdict(StrEnum):
 
 
 class MatchedBy(StrEnum):
-    """How the counterpart of a dive was found."""
+    """How the dive on the other side was found."""
 
     HASH = "hash"
     NAME = "name"
-    CHOICE = "choice"  # Each side is a single result, so that the two were meant.
-    NOTHING = "nothing"  # It has none.
+    CHOICE = "choice"  # Each side is a single result.
+    NOTHING = "nothing"  # There is none.
 
 
 class Estimated(StrEnum):
-    """What a calibration did with a parameter."""
+    """The result of a calibration for a parameter."""
 
     ESTIMATED = "estimated"
-    HELD = "held"  # The dives do not show it: it stays as it was, to the bit.
-    IMPLAUSIBLE = "implausible"  # What was found cannot be right, and is not proposed.
-    NOT_DETERMINED = "not determined"  # A noise that these dives do not tell to a factor of two.
+    HELD = "held"  # It cannot be determined from these dives and is unchanged.
+    IMPLAUSIBLE = "implausible"  # The estimate cannot be right and is not proposed.
+    NOT_DETERMINED = "not determined"  # A noise that these dives determine only to more than a factor of two.
     NOT_ASKED = "not asked"

@@ -1,7 +1,7 @@
-"""What tables and references say of themselves and of the settings, as notes and hints.
+"""Notes and hints on filters, settings and the reference.
 
-First the updates that did not happen as configured, then hints on settings, which white noise can be a sensor's, and
-what the reference does not see.
+First updates that did not happen as configured, then hints on settings, limits of a sensor's white noise, and limits of
+the reference.
 """
 
 import math
@@ -28,41 +28,41 @@ from insdvl_replay.evaluation.consistency import (
 )
 from insdvl_replay.evaluation.reference_errors import WELL_COVERED, covered_share
 
-# Median NIS over that of chi-square at which a sensor errs by three times what its settings say, or is misread.
+# Median NIS over that of chi-square: the sensor's error is three times its sd, or the sensor is misread.
 CONTRADICTED: Final = 9.0
-SLOW: Final = 0.3  # Correlation of neighbouring headings from which their error is slow.
-# Through a smaller turn a straight line between two samples misses less than 0.4 % of the speed, 1 - cos(5 deg).
+SLOW: Final = 0.3  # Lag-1 correlation of heading innovations from which their error is slow.
+# In a smaller turn, a straight line between two samples misses less than 0.4 % of the speed, 1 - cos(5 deg).
 SMALL_TURN: Final = 10.0 * DEG
-# Through a larger one it misses more than 7 %, 1 - cos(22.5 deg), and the turn may have come and gone unseen.
+# In a larger turn it misses more than 7 %, 1 - cos(22.5 deg), and a turn and its return may be missed.
 LARGE_TURN: Final = 45.0 * DEG
-# Times by which the NIS of one axis is above another's: what a DVL is built in otherwise does not reach all alike.
+# Ratio of the NIS of two axes: wrong mounting, arm or delay of a DVL does not affect all axes equally.
 APART: Final = 5.0
-# NIS over degrees of freedom from which an axis is compared with down, too: beams 30 deg off the vertical measure with
-# six times less variance down, of which a filter that takes all axes for alike knows nothing.
+# NIS/dof from which an axis is also compared with down. Beams 30 deg off the vertical have six times less variance
+# along down, and the filter assumes equal variance on all axes.
 TOO_LARGE: Final = 1.5
 TELLING_PCT, TELLING_DEG = 0.5, 0.5
-# Standard errors by which a track has to be off; those of a turn hold what the filter knows of its heading, too.
+# Standard errors by which a track has to be off; those of a turn include the sigma of the heading.
 CERTAIN_SDS: Final = 5.0
-LEAST, MOST = 0.2, 5.0  # Mean NIS over degrees of freedom outside which noise is set far off.
+LEAST, MOST = 0.2, 5.0  # Mean NIS/dof outside which the noise settings are far off.
 NOISE_FAR_OFF: Final = "noise_far_off"
 _CALIBRATE: Final = (
     "`insdvl-replay calibrate` with the same settings estimates arm, mounting, delay and scale of the DVL"
 )
 _CONTROL: Final = "`insdvl-replay run --control` adds a baseline whose noise is fitted to the dive"
-# An IMU that smooths its readings shows less of its noise from sample to sample than it has over a second: by up to
-# this factor.
+# An IMU that smooths its readings has up to this factor less noise from sample to sample than over a second.
 FILTERED: Final = 10.0
-RESTLESS: Final = 2.0  # Vibration that comes and goes scatters the readings by as much more than in the usual block.
-BLOCK: Final = 50  # Samples of a block; turns and single wrong readings spoil few of them.
+RESTLESS: Final = (
+    2.0  # Vibration that comes and goes makes the scatter this many times larger than in the median block.
+)
+BLOCK: Final = 50  # Samples of a block; turns and outliers affect few blocks.
 
 
 # --- Notes on updates that did not happen as configured.
 
 
 def update_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
-    """Warn of filters whose tables say less than they seem to.
-
-    Their aiding had no update, innovations are not finite, gates reject more than outliers, or a sensor contradicts.
+    """Warn of filters without updates of an aiding, with innovations that are not finite, with many rejections, or with
+    a sensor that contradicts them.
     """
     warnings = (warning for history in histories for warning in _update_warnings(history))
     return tuple(Note(code, text, count, Severity.WARNING, hint) for code, text, count, hint in warnings)
@@ -77,40 +77,40 @@ def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
         lost, many = ~np.isfinite(met.nis), int(rejected(met).sum())
         if total == 0:
             hint = f"{settings}.acceleration.max_window_gap_s or window" if kind == "acceleration" else ""
-            yield "aiding_without_updates", f"filter {name} had no {kind} to use", 0, hint
+            yield "aiding_without_updates", f"filter {name} received no {kind}", 0, hint
         if total == 0 or met.is_held_out:
             continue
         if lost.any():
             count = int(lost.sum())
             are_lost = f"{count} of {total} {kind} innovations are not finite, from number {np.argmax(lost) + 1} on"
             if not is_reserved(kind) and np.isfinite(history.velocity_n[-1]).all():
-                text = f"filter {name} goes on without some: {are_lost}"
-                yield "innovations_not_finite", text, count, "arithmetic fails in what predicts them"
+                text = f"filter {name} skipped some updates: {are_lost}"
+                yield "innovations_not_finite", text, count, "check the arithmetic of `predict` of this measurement"
             else:
-                sizes = "check the units and sizes of [noise], [initial] and what aids it"
+                sizes = "check the units and sizes of [noise], [initial] and the aiding"
                 hint = f'{sizes}; after long IMU gaps, imu.long_gaps = "split"'
-                yield "filter_not_finite", f"filter {name} broke down: {are_lost}", count, hint
+                yield "filter_not_finite", f"filter {name} diverged: {are_lost}", count, hint
             continue
         if many > MANY_REJECTED * total:
             yield "gate_rejects_many", f"filter {name} rejected {many} of {total} {kind} innovations", many, gate_hint
-        # A sensor next to the DVL that says something else than all others: the filter is none the worse for it. By the
-        # median, since readings that are wild are few, and the gate's affair.
+        # A sensor other than the DVL that contradicts all others. The median is used, since outliers are few and the
+        # gate rejects them.
         size = float(np.median(met.nis)) / chi_square_quantile(0.5, met.dof)
         if kind in SENSORS and total >= FEWEST_UPDATES and size > CONTRADICTED:
             text = (
                 f"filter {name} and its {kind} contradict each other: the median NIS of {kind} is {size:.3g} times "
-                "what is expected"
+                "the expected one"
             )
             hint = f"units, axes, stamp and delay in [{kind}], or a larger sd there"
-            hint += "; evaluation.held_out judges without it"
+            hint += f'; evaluation.held_out = ["{kind}"] only compares it'
             yield f"{kind}_disagrees", text, total, hint
-        # Innovations of a heading whose error is slow are small, since the filter follows the error.
+        # With a slow heading error the innovations are small, since the filter follows the error.
         may_be_slow = kind == "heading" and all(state.id != "heading_bias" for state in history.states)
         value, limit = autocorrelation(met.standardised, met.used) if may_be_slow else (0.0, 0.0)
         if value >= SLOW and repeats(value, limit):
             text = (
-                f"filter {name} follows a slow error of the heading: neighbouring innovations have a correlation of "
-                f"{value:.2f}, and its heading is less sure than it says"
+                f"filter {name} follows a slow error of the heading sensor (lag-1 correlation of its innovations "
+                f"{value:.2f}), so its heading sigma is too small"
             )
             hint = (
                 f'{settings}.states = ["heading_bias"], with heading.bias_sd_deg and bias_time_s; a smaller '
@@ -128,7 +128,7 @@ def _update_warnings(history: History) -> Iterator[tuple[str, str, int, str]]:
 
 
 def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
-    """Note what filters take the sensors' constants, and adaptive noise, to be at the end."""
+    """Note the filters' final estimates of sensor constants and of adaptive noise."""
     notes = []
     for history in histories:
         found, count = [], history.constants.shape[1]
@@ -140,7 +140,7 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
                 f"at the start {start:+.3g}, sd {start_sd:.2g})"
             )
         found += [
-            f"noise of {innovations.measurement} {math.sqrt(innovations.noise_factor):.3g} times what it is told"
+            f"noise of {innovations.measurement} {math.sqrt(innovations.noise_factor):.3g} times the setting"
             for innovations in history.innovations
             if innovations.noise_factor != 1.0
         ]
@@ -149,11 +149,11 @@ def constants_notes(histories: tuple[History, ...]) -> tuple[Note, ...]:
     return tuple(notes)
 
 
-# --- Hints: what the tables say on the settings, and which command follows it up.
+# --- Hints on settings, each with a command to run next.
 
 
 def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
-    """Say what the baseline's innovations and track show of how the DVL is built in, and of the noise."""
+    """Return hints on DVL geometry and noise, by the baseline's innovations and track."""
     name, notes = baseline.filter, []
     nis = {row.measurement: finite(row.mean_nis) / row.dof for row in tables.consistency if row.filter == name}
 
@@ -164,8 +164,8 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
     if low and sizes[low] > 0.0 and sizes[high] > APART * sizes[low]:
         listed = ", ".join(f"{axis} {size:.2g}" for axis, size in sizes.items())
         text = (
-            f"the innovations of {name} are not alike along the axes: mean NIS / dof {listed}, along {high} "
-            f"{sizes[high] / sizes[low]:.3g} times that along {low}; arm, mounting or delay of the DVL may be off"
+            f"the innovations of {name} differ between axes: mean NIS / dof {listed}. {high} is "
+            f"{sizes[high] / sizes[low]:.3g} times {low}. Arm, mounting or delay of the DVL may be wrong"
         )
         notes.append(Note("innovations_apart", text, 1, hint=_CALIBRATE))
 
@@ -178,14 +178,14 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
             off.append(f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})")
     if off:
         text = (
-            f"{' and '.join(off)} would lay the track of {name} on the reference's: dvl.scale, "
-            "dvl.mounting_rpy_deg or initial.heading_deg may be off"
+            f"{' and '.join(off)} would align the track of {name} with the reference's: dvl.scale, "
+            "dvl.mounting_rpy_deg or initial.heading_deg may be wrong"
         )
         notes.append(Note("track_off", text, len(off), hint=_CALIBRATE))
 
     if is_noise_far_off(tables, name):
         text = (
-            f"the innovations of {name} are far {'smaller' if nis['velocity'] < LEAST else 'larger'} than it says: "
+            f"the innovations of {name} are far {'smaller' if nis['velocity'] < LEAST else 'larger'} than predicted: "
             f"mean NIS / dof of velocity is {nis['velocity']:.2g}, 1 is expected"
         )
         notes.append(Note(NOISE_FAR_OFF, text, 1, hint=_CONTROL))
@@ -193,9 +193,9 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
 
 
 def is_noise_far_off(tables: Tables, baseline: str) -> bool:
-    """Return whether the size of the innovations tells that the noise is set far off.
+    """Return whether the size of the innovations shows that the noise settings are far off.
 
-    Small ones that repeat themselves do not: they are an error that stays, which less noise would make worse.
+    Small but correlated innovations do not show it: they are a lasting error, which less noise would make worse.
     """
     row = next((row for row in tables.consistency if (row.filter, row.measurement) == (baseline, "velocity")), None)
     if row is None or row.mean_nis is None:
@@ -204,16 +204,16 @@ def is_noise_far_off(tables: Tables, baseline: str) -> bool:
     return size > MOST or (size < LEAST and not repeats(finite(row.autocorrelation), finite(row.autocorrelation_limit)))
 
 
-# --- Whether a white noise can be its sensor's: a filter that fits noise to its innovations has nowhere else to put
-# what a wrong lever arm or delay does to them.
+# --- Whether a sensor can have a given white noise. A filter that fits its noise also fits the effects of a wrong lever
+# arm or delay.
 
 
 class SensorClasses(NamedTuple):
-    """The classes that one kind of sensor comes in."""
+    """The classes of one kind of sensor."""
 
     name: str
     worst: Mapping[str, float]  # the worst white noise of each class, SI units, best class first; as of the presets
-    least: float  # less than the best sensors have
+    least: float  # below the noise of the best sensors
 
 
 # By the key of the settings.
@@ -231,10 +231,10 @@ CLASSES: Final[Mapping[str, SensorClasses]] = MappingProxyType(
 
 
 def readings_scatter(readings: Floats, step_s: float) -> float:
-    """Bound the white noise density of a sensor by how its readings, shape (k, 3), scatter from sample to sample.
+    """Return an upper bound of a sensor's white noise density, by the scatter of its readings, shape (k, 3).
 
-    What is left of three readings after a straight line is noise, vibration, and what the vehicle does within two
-    steps: at least the sensor's noise, unless it smooths. The largest of the axes, each the median over blocks; NaN of
+    Three readings minus a straight line leave noise, vibration and the vehicle's motion within two steps. This is at
+    least the sensor's noise, unless the sensor smooths. Returns the largest axis, each the median over blocks; NaN for
     fewer than three readings.
     """
     bends = np.diff(readings, n=2, axis=0) / np.sqrt(6.0)  # of white noise: 1, -2 and 1 times it, squared and added
@@ -247,75 +247,74 @@ def readings_scatter(readings: Floats, step_s: float) -> float:
 
 
 def sensor_class(key: str, noise: float) -> str:
-    """Name the best class of `CLASSES` that may be so noisy; empty where none is."""
+    """Name the best class of `CLASSES` that can have this noise; empty if none can."""
     return next((name for name, worst in CLASSES[key].worst.items() if noise <= worst), "")
 
 
 def beyond_the_sensor(key: str, noise: float, scatter: float = 0.0) -> str:
-    """Say why a white noise cannot be its sensor's; empty where it may be.
+    """Say why a sensor cannot have this white noise; empty if it can.
 
-    The scatter is that of `readings_scatter`; 0 where the readings show nothing of the noise alone, as those of a DVL.
+    ``scatter`` is from `readings_scatter`; 0 if the readings do not show the noise, as with a DVL.
     """
     sensors, reasons = CLASSES[key], []
     best, worst = min(sensors.worst.values()), max(sensors.worst.values())
     if scatter and noise > best and noise > FILTERED * scatter:
-        reasons.append(f"{noise / scatter:.0f} times what the readings scatter by ({scatter:.2g})")
+        reasons.append(f"{noise / scatter:.0f} times the scatter of the readings ({scatter:.2g})")
     if noise > worst and noise > RESTLESS * scatter:
-        reasons.append(f"more than any {sensors.name} have ({worst:g})")
+        reasons.append(f"more than {sensors.name} can have ({worst:g})")
     if noise < sensors.least:
-        reasons.append(f"less than any {sensors.name} have ({sensors.least:g})")
+        reasons.append(f"less than {sensors.name} can have ({sensors.least:g})")
     return " and ".join(reasons)
 
 
-# --- What the reference does not see.
+# --- Limits of the reference.
 
 
 def reference_notes(
     dive: Dive, start_ns: int, end_ns: int, history: History, evaluated_ns: TimeNs, *, independent: bool
 ) -> tuple[Note, ...]:
-    """Note what the reference cannot tell: errors that it shares, and what of the dive it does not see."""
+    """Note the limits of the reference: errors that it shares, and parts of the dive that it does not cover."""
     reference, truth = dive.reference, dive.truth
     if reference is None:
         return ()
     notes = []
     if not independent:
-        text = "the reference shares sensors with the filters: errors that they have in common are not seen"
+        text = "the reference shares sensors with the filters, so common errors cannot be seen"
         notes.append(Note("reference_not_independent", text))
     known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
     covering = [("reference", reference.time_ns, known)]
     if truth is not None:
         biases = {"accelerometer biases": truth.accel_bias_b, "gyro biases": truth.gyro_bias_b}
-        told = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}
-        covering.append(("truth", truth.time_ns, told))
+        in_truth = {quantity: np.asarray(np.isfinite(values).all(axis=1)) for quantity, values in biases.items()}
+        covering.append(("truth", truth.time_ns, in_truth))
     for source, time_ns, found in covering:
-        # One note for each percent, of all quantities that cover so much.
-        alike: dict[str, list[str]] = {}
+        # One note for each percentage, with all quantities of this coverage.
+        by_share: dict[str, list[str]] = {}
         for quantity, rows in found.items():
             share = covered_share(time_ns, rows, start_ns, end_ns)
             if share < WELL_COVERED:
-                alike.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
+                by_share.setdefault(f"{100.0 * share:.0f}", []).append(quantity)
         inside = (time_ns >= start_ns) & (time_ns <= end_ns)
-        for percent, quantities in alike.items():
+        for percent, quantities in by_share.items():
             joined = " and ".join(filter(None, [", ".join(quantities[:-1]), quantities[-1]]))
             text = (
-                f"{joined} of the {source} cover {percent} % of the replay; the errors against them are of "
-                "that part alone"
+                f"{joined} of the {source} cover {percent} % of the replay; errors against them are from this part only"
             )
             count = min(int(np.sum(found[quantity] & inside)) for quantity in quantities)
-            hint = "--start and --end choose that part"
+            hint = "choose this part with --start and --end"
             notes.append(Note(f"{source}_coverage", text, count, Severity.WARNING, hint))
     count = int(np.sum((reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)))
     if left_out := count - len(evaluated_ns):
         text = (
-            f"credibility is judged at {len(evaluated_ns)} of the {count} times of the reference, evenly chosen: P "
-            "at all of them would fill the memory"
+            f"credibility is evaluated at {len(evaluated_ns)} of the {count} times of the reference, evenly chosen, "
+            "to save memory"
         )
         notes.append(Note("credibility_thinned", text, left_out))
     return (*notes, *reference_rate_notes(history, reference.time_ns))
 
 
 def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, ...]:
-    """Say that a reference is too slow for the dive's turns, where it is; any filter's history shows the motion.
+    """Note that the reference is too slow for the turns of the dive; the history of any filter shows the motion.
 
     The note counts the intervals with more than `SMALL_TURN`, and is a warning above `LARGE_TURN`.
     """
@@ -334,10 +333,10 @@ def reference_rate_notes(history: History, reference_ns: TimeNs) -> tuple[Note, 
     worst = int(np.argmax(turn))
     apart_s = float(seconds(reference_ns[np.searchsorted(reference_ns, since[worst], side="right")], since[worst]))
     text = (
-        f"between two samples of the reference, {apart_s:.2g} s apart, the vehicle turns by up to "
-        f"{turn[worst] / DEG:.0f} deg and changes its velocity by up to {change_mps.max():.2f} m/s; errors in "
-        "between are not seen"
+        f"the reference is slow: between two samples, {apart_s:.2g} s apart, the vehicle turns by up to "
+        f"{turn[worst] / DEG:.0f} deg and changes its velocity by up to {change_mps.max():.2f} m/s. Errors in "
+        "between cannot be seen"
     )
-    hint = f"a reference at {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would see this turn"
+    hint = f"a reference of {turn[worst] / SMALL_TURN / apart_s:.2g} Hz would be fast enough"
     count, severity = len(np.unique(since[turning])), Severity.WARNING if turn[worst] > LARGE_TURN else Severity.INFO
     return (Note("reference_slow", text, count, severity, hint),)

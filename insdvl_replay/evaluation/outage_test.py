@@ -1,4 +1,4 @@
-"""The DVL outage test: how far a filter drifts while the DVL is withheld, by the withheld velocities themselves.
+"""The DVL outage test: the drift of a filter without the DVL, measured by the held-out velocities themselves.
 
 This needs no reference. It does not see heading, scale and a constant turn about down, which prediction and measurement
 share; it measures levels, accelerometer biases, gyro biases through gravity, lever arm, time stamps and noise.
@@ -40,12 +40,12 @@ InGap = Callable[[TimeNs, TimeNs], NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class Windows:
-    """The windows of one length, each from a ping that is used to the last one that is withheld."""
+    """The windows of one length, each from the last used ping to the last held-out one."""
 
     window_s: int  # length; from ping to ping it differs by less than two intervals
     first: Rows  # (w,), rows of these pings
     last: Rows
-    left_out: int  # windows in which the DVL or the IMU fell silent by itself
+    left_out: int  # windows in which the DVL or the IMU has a gap of its own
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class OutagePlan:
 
     @property
     def windows_ns(self) -> Iterator[tuple[int, int]]:
-        """Times of the last used and of the last withheld ping of each run."""
+        """Times of the last used and of the last held-out ping of each run."""
         first, last = self.runs
         return zip(self.ping_ns[first].tolist(), self.ping_ns[last].tolist(), strict=True)
 
@@ -88,7 +88,7 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
         window_ns, last_ns = window_s * NS_PER_S, end_ns
         if end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S or window_ns < FEWEST_PINGS * usual_ns:
             return Windows(window_s, np.empty(0, np.int64), np.empty(0, np.int64), 0)
-        if end_ns - ping_ns[-1] <= OUTAGE * usual_ns:  # else the DVL fell silent, and what follows is left out
+        if end_ns - ping_ns[-1] <= OUTAGE * usual_ns:  # else the DVL has a gap, and the rest is left out
             last_ns = min(end_ns, int(ping_ns[-1] + 0.5 * usual_ns))
         latest_s = (last_ns - start_ns) // NS_PER_S - window_s
         begun_ns = start_ns + np.arange(BURN_IN_S, latest_s + 1, every_s) * NS_PER_S
@@ -111,12 +111,12 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
 
 @dataclass(frozen=True)
 class OutageRun:
-    """One filter in one run: at the ping that it used last, and at those that were withheld."""
+    """One filter in one run: at the last used ping, and at the held-out pings."""
 
     time_s: Floats  # (k,), from the last used ping on
     velocity_error_n: Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
     drift_n: Floats  # (k, 3), m, its integral
-    nis: Floats  # (k,), of each withheld ping; NaN at the last used one
+    nis: Floats  # (k,), of each held-out ping; NaN at the last used one
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class OutageRuns:
 
 
 def outage_run(history: History) -> OutageRun:
-    """Turn the innovations of withheld velocities to n; the first row of the history has none."""
+    """Turn the innovations of held-out velocities to n; the first row of the history has none."""
     innovations, *_ = history.innovations
     time_s = seconds(history.time_ns, history.time_ns[0])
     velocity_error_n, nis = np.zeros((len(time_s), 3)), np.full(len(time_s), np.nan)
@@ -154,9 +154,9 @@ class WindowEnds(NamedTuple):
     """What a filter has come to at the end of each window of one length, shape (w,)."""
 
     drift_m: Floats  # horizontal
-    down_m: Floats  # either way
+    down_m: Floats  # absolute
     velocity_mps: Floats  # horizontal error
-    nis: Floats  # of the last withheld ping
+    nis: Floats  # of the last held-out ping
 
 
 def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
@@ -178,7 +178,7 @@ def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:
 
 
 class OutageCurve(NamedTuple):
-    """How the horizontal drift of one filter grows while the DVL is withheld, over the windows that are shown."""
+    """The horizontal drift of one filter over the time without DVL, for the windows that are drawn."""
 
     time_s: Floats  # (k,), from the last used ping on
     median_m: Floats  # (k,)
@@ -240,10 +240,10 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
 
 
 def outage_alarm(rows: Sequence[OutageRow], names: Collection[str]) -> str:
-    """Say where the withheld velocities show that the sigma of filters grows too slowly; nothing where it does not.
+    """Say that the sigma of a filter grows too slowly without the DVL; empty if it does not.
 
-    NIS at the ends of windows of one length are chi-square, and nearly independent. The length that is furthest above
-    its limit speaks.
+    The NIS at the ends of windows of one length are chi-square and nearly independent. The window length that exceeds
+    its limit most is reported.
     """
     excess = {
         (row.window_s, row.filter): finite(row.nis_per_dof) / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
@@ -254,4 +254,4 @@ def outage_alarm(rows: Sequence[OutageRow], names: Collection[str]) -> str:
     if not window_s or max(excess.values()) <= 1.0:
         return ""
     sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in rows if row.window_s == window_s and row.filter in names]
-    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1: raise [noise]."
+    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1. Raise [noise]."

@@ -371,7 +371,7 @@ def verdict_of_interval(interval: RatioInterval, fewest: float = FEWEST_EFFECTIV
 
 
 def what_settles(interval: RatioInterval, dives: int) -> str:
-    """Say how many dives show a difference of 10 % in four of five cases, if ratios scatter so over dives."""
+    """Say how many dives find a difference of 10 % in four of five cases, with this scatter over dives."""
     beyond = math.log((1.0 + SETTLED) / (1.0 + MARGIN))
     needed = (POWER * interval.log_sd * math.sqrt(dives) / beyond) ** 2 + SMALL_SAMPLE
     if not needed > dives:

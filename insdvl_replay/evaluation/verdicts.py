@@ -1,9 +1,8 @@
-"""The verdict on a candidate: what all evidence says of it, whether its prediction is confirmed, and in which words.
+"""The verdict on a candidate: its evidence, whether its predicted improvement is confirmed, and the sentences.
 
-What was measured comes first, by the words of each piece of evidence. That a filter predicts smaller errors is a second
-statement, which what was measured confirms or not; whether its innovations and errors are as large as it says is a
-third. Filters that diverged or are misconfigured are not evaluated, and no candidate is next to such a baseline. Of
-several dives each is one pair, however long it is; they are judged as one dive is, by the same words.
+A sentence has three parts: what was measured, the predicted improvement, and the consistency of both filters.
+Filters that diverged or are misconfigured are not evaluated. No candidate of such a baseline is evaluated either.
+Of several dives, each dive is one pair, however long it is. The rules are the same as for one dive.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -48,45 +47,40 @@ from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, verdict_of_interval, what_settles
 
-NOTABLE_PCT: Final = 5.0  # A smaller gain is not spoken of as a predicted one.
+NOTABLE_PCT: Final = 5.0  # A smaller predicted gain is not checked.
 CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be measured.
-# Quantities whose median change stands for the error against the reference.
+# Quantities whose median change summarises the error against the reference.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
-MANY_TIMES: Final = 3.0  # From here on, nobody reads percent.
-MOST_NAMED: Final = 2  # So many pieces of evidence are in the sentence with their numbers; the others are in the table.
+MANY_TIMES: Final = 3.0  # A larger ratio is written in times instead of percent.
+MOST_NAMED: Final = 2  # Evidence rows in the sentence; the table has all.
 MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
-FEW: Final = 2  # So many rejections prove nothing, in however short a dive.
-# Innovations three times as large as a filter says come from what it does not know of: axes, units, clocks.
+FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short dive.
+# Innovations three times as large as predicted come from wrong axes, units or clocks.
 LARGEST_NIS_PER_DOF: Final = 10.0
-# Percent of the distance, while the DVL is there; dead reckoning by a DVL without any INS drifts less.
+# Percent of the distance, with the DVL available. Dead reckoning by a DVL without an INS drifts less.
 FARTHEST_PCT: Final = 20.0
-# Notes on columns that cannot all be right.
+# Notes on columns of a dive that contradict each other.
 CONTRADICTIONS: Final = (
     "dvl_beam_contradiction", "dvl_contradiction", "dvl_direction", "imu_gyro_contradiction", "imu_gyro_sign",
     "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
 )  # fmt: skip
-SHARED: Final = "The reference shares sensors with the filters: errors that they have in common are not seen."
-ON_PREDICTION: Final = {
-    Prediction.CONFIRMED: ", and that is confirmed",
-    Prediction.NOT_CONFIRMED: ", and that is NOT confirmed",
-    Prediction.UNDECIDED: ", and whether that is so is undecided",
-}
+SHARED: Final = "The reference shares sensors with the filters, so common errors cannot be seen."
 AGAINST: Final = {
     Verdict.BETTER: "is BETTER than",
     Verdict.WORSE: "is WORSE than",
-    Verdict.MIXED: "is better in some and WORSE in other things than",
-    Verdict.EQUIVALENT: "is as good as",
+    Verdict.MIXED: "is partly better, partly WORSE than",
+    Verdict.EQUIVALENT: "is equivalent to",
     Verdict.UNDECIDED: "is undecided against",
 }
-EVERY_DIVE: Final = "*"  # In place of a dive's name.
+EVERY_DIVE: Final = "*"  # Instead of a dive's name.
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
 
-Piece = EvidenceRow | PooledRow  # one piece of evidence, of one dive or of several
+Piece = EvidenceRow | PooledRow  # one evidence row, of one dive or of several
 P = TypeVar("P", bound=Piece)
 
 
-# --- The words of tables, taken together.
+# --- Verdicts over several rows.
 
 
 def verdict_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Verdict:
@@ -104,7 +98,7 @@ def verdict_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> V
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
     """Return the worst verdict among a filter's measurements.
 
-    Axes do not count: of eight tests one fails by chance in every third consistent filter.
+    Axes do not count: with eight tests, every third consistent filter fails one by chance.
     """
     words = {row.verdict for row in table if row.filter == filter_name and is_used(row.measurement)}
     otherwise = Consistency.INSUFFICIENT if words else Consistency.NOT_AVAILABLE
@@ -112,10 +106,10 @@ def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
 
 
 def credibility_of(table: Sequence[CredibilityRow], filter_name: str) -> str:
-    """Return the worst verdict among the groups of states, of errors against the reference.
+    """Return the worst verdict among the groups of states, for errors against the reference.
 
-    All states together may be consistent with roll and pitch far off, below velocities that hardly err. Where no group
-    could be compared, what the first says of that is returned.
+    All states together may be consistent although roll and pitch are far off, if the velocity errors are small. If no
+    group could be compared, the reason of the first is returned.
     """
     own = [row for row in table if row.filter == filter_name]
     words = [row.verdict for row in own if row.quantity in ALL_CREDIBILITY_GROUPS]
@@ -132,21 +126,21 @@ def not_evaluated(
     tables: Tables,
     notes: Sequence[Note],  # of the dive: where its columns contradict each other, no filter is evaluated
 ) -> dict[str, str]:
-    """Return by candidate what is wrong with it or the baseline, or with both; sound ones are left out.
+    """Return, by candidate, why it is not evaluated; candidates without a problem are left out.
 
-    That one of the two alone is far off is for the evidence to say, and so is a surprised baseline. A candidate whose
-    own innovations are far too large is worse or is not evaluated.
+    If only one of the two filters is far off, the evidence shows it. The same holds for a baseline whose innovations
+    are far too large. A candidate whose own innovations are far too large is worse or not evaluated.
     """
-    # Filters that are aided by the reference's own readings, or made of it: errors against it say nothing. Depth has no
-    # vote, and the rest of the reference is as good as before.
+    # Errors against the reference mean nothing for filters that are aided by the reference's own readings. Depth is an
+    # exception: it has no vote, and the rest of the reference is still valid.
     shared = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
     invalid, suspect = dict[str, str](), dict[str, str]()
     for history in histories:
         name = history.filter
         if f"solution_{name}" in shared:
-            invalid[name] = f"{name} is, or may know, the reference"
+            invalid[name] = f"{name} is the reference, or may have used it"
         for sensor in (met.measurement for met in history.innovations if met.measurement in shared - {"depth"}):
-            invalid[name] = f"{name} is aided by the {sensor} that the reference is made of"
+            invalid[name] = f"{name} is aided by the {sensor} of the reference"
         if found := surprised(name, tables.consistency) or far_off(history, histories[0], errors, tables):
             suspect[name] = found
     invalid |= diverged_filters(histories)
@@ -165,7 +159,7 @@ def not_evaluated(
 
 
 def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
-    """Take the word *better* from evidence on a filter that a sensor surprises."""
+    """Replace the verdict *better* by *undecided*, for a filter whose innovations are far too large."""
     return [
         replace(row, verdict=EvidenceVerdict.UNDECIDED) if row.verdict == EvidenceVerdict.BETTER else row
         for row in rows
@@ -173,11 +167,11 @@ def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
 
 
 def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
-    """Return by filter what is wrong with it; sound ones are left out.
+    """Return, by filter, why it diverged; filters that did not are left out.
 
-    Its state is not finite, its gate rejected more than `MANY_REJECTED` of what it depends on, or it was set to the DVL
-    again more than once and at more than `MANY_REOPENED` of its pings; by more than chance. What a partial solution
-    leaves out it leaves out.
+    A filter diverged if its state is not finite, if its gate rejected more than `MANY_REJECTED` of its main aiding, or
+    if it was set to the DVL again more than once and at more than `MANY_REOPENED` of its pings. Chance is allowed for.
+    Partial solutions are not checked.
     """
     found = {}
     for history in (history for history in histories if not history.is_partial):
@@ -189,8 +183,8 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
             first_s = (history.time_ns[np.argmin(known)] - history.time_ns[0]) / NS_PER_S
             found[name] = f"the state of {name} is not finite from {first_s:.1f} s on"
         elif used:
-            # It depends on the pings of the beams, else on the velocities, else on what it is aided by first. A ping is
-            # rejected where all beams that were heard are; by chance, at most as one is.
+            # Its main aiding is the pings of the beams, else the velocities, else its first aiding. A ping is rejected
+            # if all its valid beams are; by chance, at most as often as one beam.
             beams = [met for met in used if is_beam(met.measurement)]
             lead = next((met for met in (*beams, *used) if beams or met.measurement == "velocity"), used[0])
             by_chance = float(chdtrc(lead.dof, lead.gate))
@@ -203,22 +197,24 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
             if count > max(FEW, (MANY_REJECTED + by_chance) * total):
                 found[name] = f"{name} rejected {count} of {total} {measurement}"
             elif reopened > max(1.0, (MANY_REOPENED + by_chance**lead.reopen_after) * total):
-                # It is not thrown off once, but errs all the time, and is saved from itself every so often.
-                found[name] = f"{name} lost its way {reopened} times in {total} {measurement}"
+                # The filter diverges again and again, and is reset each time.
+                found[name] = f"{name} diverged and was set to the DVL again {reopened} times in {total} {measurement}"
     return found
 
 
 def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
-    """Name a sensor whose innovations are far larger than the filter that it aids expects; empty if there is none."""
+    """Name a sensor whose innovations are far larger than its filter expects; empty if there is none."""
     far = (row for row in rows if finite(row.mean_nis) > LARGEST_NIS_PER_DOF * row.dof and is_used(row.measurement))
     row = next((row for row in far if row.filter == name), None)
-    return f"the {row.measurement} innovations of {name} have NIS {row.mean_nis:.3g}, {row.dof} is right" if row else ""
+    if row is None:
+        return ""
+    return f"the {row.measurement} innovations of {name} are far too large (NIS {row.mean_nis:.3g}, expected {row.dof})"
 
 
 def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceErrors], tables: Tables) -> str:
-    """Find a filter that is far off while the DVL is there: what it gains without is nobody's mistake.
+    """Say that a filter is far off with the DVL available; empty if it is not.
 
-    If the DVL is silent for more than half of the time, all of the error counts.
+    Errors from DVL outages do not count, unless the DVL is silent for more than half of the time.
     """
     statuses = [row.status for row in tables.reference_error if row.quantity == "position_h_pct"]
     if history.filter not in errors or ReferenceStatus.COMPARED not in statuses:
@@ -239,7 +235,11 @@ def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceE
             steps_m[silent] = 0.0
     square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)
     error_pct = 100.0 * np.sqrt(square_m2) / found.distance_m if found.distance_m > 0.0 else 0.0
-    return f"{history.filter} is off by {error_pct:.3g} % of the distance" if error_pct > FARTHEST_PCT else ""
+    return (
+        f"the position error of {history.filter} is {error_pct:.3g} % of the distance"
+        if error_pct > FARTHEST_PCT
+        else ""
+    )
 
 
 # --- The verdict on one dive.
@@ -253,7 +253,7 @@ def evaluated_candidates(
     *,
     independent: bool,  # whether the reference shares no sensors with the filters
 ) -> tuple[Tables, dict[str, CandidateVerdict]]:
-    """Judge each candidate by the evidence in the tables; those that are not evaluated lose their words there."""
+    """Return the verdict on each candidate; evidence rows of those that are not evaluated lose their verdicts."""
     baseline, *candidates = (history.filter for history in histories)
     unsound = not_evaluated(histories, errors, tables, notes)
     by_depth = {
@@ -281,13 +281,13 @@ def verdicts(
     *,
     independent: bool,  # whether the reference shares no sensors with the filters
 ) -> dict[str, CandidateVerdict]:
-    """Judge each candidate, by name."""
-    judged, has_reference = {}, any(row.samples for row in tables.reference_error)
+    """Return the verdict on each candidate, by name."""
+    found, has_reference = {}, any(row.samples for row in tables.reference_error)
     for candidate in candidates:
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
         verdict, prediction = Verdict.NOT_EVALUATED, Prediction.UNDECIDED
-        measured = f"{candidate} is NOT EVALUATED against {baseline}: {unsound.get(candidate)}; settle that first"
+        measured = f"{candidate} is NOT EVALUATED against {baseline}: {unsound.get(candidate)}. Settle this first"
         if candidate not in unsound:
             verdict = verdict_of(evidence)
             prediction, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
@@ -298,7 +298,7 @@ def verdicts(
             if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
         ]
         shared = "" if independent or not has_reference else f" {SHARED}"
-        judged[candidate] = CandidateVerdict(
+        found[candidate] = CandidateVerdict(
             sentence=f"{measured}. {trust_sentence(tables, candidate, baseline)}{shared}",
             verdict=verdict,
             consistency=consistency_of(tables.consistency, candidate),
@@ -310,7 +310,7 @@ def verdicts(
             mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
             mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
         )
-    return judged
+    return found
 
 
 def _median(numbers: Iterable[float]) -> float:
@@ -326,16 +326,17 @@ def _prediction(
     evidence: Sequence[EvidenceRow],
     has_reference: bool,
 ) -> tuple[Prediction, str]:
-    """Say what a candidate predicts, and whether at least half of that was measured; undecided if both are possible."""
+    """Return whether the predicted improvement is confirmed, and the sentences on it."""
     given = {row.state for row in tables.improvement if row.filter == candidate}
     if not given >= {state.id for state in NINE}:
-        return Prediction.UNDECIDED, ". It says how sure it is of some states alone" if given else ""
+        return Prediction.UNDECIDED, ". It reports the sigma of only some states" if given else ""
     if not np.isfinite(predicted_pct):
-        return Prediction.UNDECIDED, ". It believes in nothing finite"
+        return Prediction.UNDECIDED, ". Predicted: a sigma that is not finite"
+    size = "smaller" if predicted_pct >= 0.0 else "larger"
     if abs(predicted_pct) < NOTABLE_PCT:
-        same = f"errors as large as those of {baseline} ({predicted_pct:+z.1f} %)"
-        return Prediction.UNDECIDED, f". It believes in {same}"
-    predicted = f". It believes in {abs(predicted_pct):.1f} % {'smaller' if predicted_pct > 0 else 'larger'} errors"
+        same = f"about the same sigma as {baseline} ({abs(predicted_pct):.1f} % {size})"
+        return Prediction.UNDECIDED, f". Predicted: {same}"
+    predicted = f". Predicted: {abs(predicted_pct):.1f} % {size} sigma"
     if predicted_pct < 0.0:
         return Prediction.UNDECIDED, predicted
 
@@ -350,29 +351,41 @@ def _prediction(
             prediction = Prediction.CONFIRMED
         elif most_pct < CONFIRMED * predicted_pct:
             prediction = Prediction.NOT_CONFIRMED
-    if not has_reference:  # which is said of the dive, once
-        return prediction, predicted
-    if not accuracy:
-        return prediction, f"{predicted}, and the reference does not tell whether that is so"
-    if max(row.starts for row in accuracy) < FEWEST_STARTS:
-        return prediction, f"{predicted}, and it takes {FEWEST_STARTS} drawn starts to tell whether that is so"
-    return prediction, predicted + ON_PREDICTION[prediction]
+    return prediction, f"{predicted}. {on_prediction(prediction, evidence, has_reference=has_reference)}"
+
+
+def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_reference: bool) -> str:
+    """Say whether a predicted improvement is confirmed, and why not."""
+    if prediction == Prediction.CONFIRMED:
+        return "Confirmed"
+    starts = [row.starts for row in evidence if row.evidence == "accuracy"]
+    reason = "the measured interval is too wide to tell"
+    if prediction == Prediction.NOT_CONFIRMED:
+        reason = "less than half of it was measured"
+    elif not has_reference:
+        reason = "there is no reference"
+    elif not starts:
+        reason = "no accuracy was measured"
+    elif max(starts) < FEWEST_STARTS:
+        reason = f"this takes {FEWEST_STARTS} drawn starts (--starts 16)"
+    return f"Not confirmed: {reason}"
 
 
 def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
-    """Say what was measured, by the pieces of evidence that decided, or those that could have."""
+    """Say what was measured, by the evidence rows that decided, or could have decided."""
     pieces = []
     for row in spoken_of(verdict, evidence):
         piece = changed(row.quantity, finite(row.ratio))
         if np.isfinite(finite(row.ratio)):
             values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
             interval, why = interval_in_words(row.ratio, row.low, row.high), f"; {row.why}" if row.why else ""
-            piece = f"{piece} (this dive: {values}; 95 % on this dive: {interval}{why})"
+            drawn = f" over {row.starts} drawn starts" if row.evidence == "accuracy" and row.starts > 1 else ""
+            piece = f"{piece}{drawn} (this dive: {values}; 95 % interval on this dive: {interval}{why})"
         pieces.append(piece)
     left = left_undecided(verdict, evidence)
     undecided = [row for row in evidence if row.quantity in DECIDING and not row.why]
     if verdict == Verdict.UNDECIDED and undecided and not left:
-        # What would decide the dive, by the first piece of evidence that is not about a single stretch.
+        # How many dives would decide, by the first row that does not depend on a single stretch.
         needed = _needed(undecided[0], finite(undecided[0].effective_samples), 1)
         left = f"; {needed}" if needed else ""
     words = {row.verdict for row in evidence if row.evidence == CONSISTENT} & {
@@ -382,25 +395,25 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
     if len(words) == 1:
         is_more = EvidenceVerdict.BETTER in words
         joined = "but" if is_more == (verdict == Verdict.WORSE) else "and"
-        left += f"; {joined} it is {'more' if is_more else 'less'} honest"
-    return f"{'; '.join(pieces) or 'there is nothing to measure it by'}{left}"
+        left += f"; {joined} it is {'more' if is_more else 'less'} consistent"
+    return f"{'; '.join(pieces) or 'there is no evidence'}{left}"
 
 
 def _needed(row: Piece, samples: float, dives: int) -> str:
-    """Say how many dives like these would decide a piece of evidence; empty if these should have."""
+    """Say how many dives like these would decide an evidence row; empty if these dives should be enough."""
     ends = finite(row.ratio), finite(row.low), finite(row.high)
     return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
 
 
 def left_undecided(verdict: Verdict, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
-    """Name what is undecided where the first piece alone makes filters equivalent, as the end of a sentence."""
+    """Name the undecided rows of an equivalent candidate, as the end of a sentence."""
     undecided = (row.quantity for row in rows if row.quantity in deciding and row.verdict == EvidenceVerdict.UNDECIDED)
     names = ", ".join(map(label, undecided)) if verdict == Verdict.EQUIVALENT else ""
     return f"; undecided: {names}" if names else ""
 
 
 def spoken_of(verdict: Verdict, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
-    """Choose pieces of evidence of each word that made the judgement, or could have: the first of each kind."""
+    """Choose the evidence rows that made the verdict, or could have: the first of each kind."""
     words = {verdict.value} & set(EvidenceVerdict) or {EvidenceVerdict.UNDECIDED}
     if verdict == Verdict.MIXED:
         words = {EvidenceVerdict.BETTER, EvidenceVerdict.WORSE}
@@ -412,7 +425,7 @@ def spoken_of(verdict: Verdict, rows: Iterable[P], deciding: Collection[str] = D
 
 
 def changed(quantity: str, ratio: float) -> str:
-    """Say by how much a quantity is smaller or larger, or sooner or later."""
+    """Say how much smaller or larger, or sooner or later, a quantity is."""
     if not np.isfinite(ratio):
         return f"{label(quantity)} unknown"
     is_time = quantity.startswith("convergence")
@@ -431,19 +444,19 @@ def interval_in_words(ratio: Number, low: Number, high: Number) -> str:
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
-    """Say whether errors, innovations and NIS without DVL of candidate and baseline are as large as each says.
+    """Say whether candidate and baseline are consistent, by innovations, errors and the outage test.
 
-    A candidate that is aided by a sensor beside the DVL has the NIS of each of its sensors in the sentence.
+    If the candidate is aided by a sensor other than the DVL, the sentence has the NIS/dof of each of its sensors.
     """
     alarm = outage_alarm(tables.outage, (baseline, candidate))
     consistency_words, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
     if consistency_words == Consistency.NOT_AVAILABLE:
-        return f"{candidate} does not say how sure it is, {baseline} is {baseline_trust}.{alarm}"
+        return f"{candidate} reports no sigma, {baseline} is {baseline_trust}.{alarm}"
     sentence = f"Both filters are {consistency_words}."
     if consistency_words != baseline_trust:
         sentence = f"{candidate} is {consistency_words}, {baseline} {baseline_trust}."
     elif consistency_words == Consistency.INSUFFICIENT:
-        sentence = "Too few updates to judge either."
+        sentence = "Both filters have insufficient data for a consistency test."
     used = [row for row in tables.consistency if row.filter == candidate and is_used(row.measurement)]
     if not all(row.measurement in DVL_AIDING or is_beam(row.measurement) for row in used):
         sizes = ", ".join(f"{row.measurement} {finite(row.mean_nis) / row.dof:.3g}" for row in used)
@@ -452,7 +465,7 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
 
 
 def _trust(tables: Tables, name: str) -> str:
-    """Join what innovations and errors say; the one word where they agree or only one of them speaks."""
+    """Join the consistency of innovations and of errors: one word if they agree or only one is known."""
     consistency, credibility = consistency_of(tables.consistency, name), credibility_of(tables.credibility, name)
     if credibility == Consistency.INSUFFICIENT or credibility not in WORST_FIRST:
         return consistency
@@ -475,7 +488,7 @@ def pooled_evidence(
     candidate: str,
     dives: Sequence[Sequence[EvidenceRow]],  # the candidate's rows of each dive in which it is evaluated
 ) -> list[PooledRow]:
-    """Pool what each dive holds on one candidate; the piece that decides first is in front."""
+    """Pool the evidence of several dives on one candidate; the row that decides first is in front."""
     pooled = []
     for quantity in EVIDENCE_QUANTITIES:
         rows = [row for dive in dives for row in dive if row.quantity == quantity and row.evidence != CONSISTENT]
@@ -484,7 +497,7 @@ def pooled_evidence(
         with np.errstate(divide="ignore", invalid="ignore"):
             logs = np.asarray(np.log([finite(row.ratio) for row in rows]))
         interval, known = dives_ratio(logs), np.isfinite(logs)
-        # One of the filters never settled on some dive: the dives with a ratio are those where it did.
+        # On some dive one of the filters never settled. Only dives on which both settled have a ratio.
         unsettled = any((row.baseline is None) != (row.value is None) for row in rows)
         pooled.append(
             PooledRow(
@@ -509,17 +522,17 @@ def pooled_evidence(
 
 @dataclass(frozen=True)
 class PooledCandidate:
-    """What several dives say of a candidate together."""
+    """The pooled evidence of several dives on a candidate."""
 
     name: str
     baseline: str
-    rows: tuple[PooledRow, ...]  # the piece that decides first in front
+    rows: tuple[PooledRow, ...]  # the row that decides first in front
     dives: int  # that have the candidate
     judged: int  # in which it is evaluated
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict on it; none where half of the dives are not evaluated."""
+        """The pooled verdict; not evaluated if at least half of the dives are not."""
         if 2 * self.judged <= self.dives:
             return Verdict.NOT_EVALUATED
         return verdict_of(self.rows, DECIDING_TOGETHER)
@@ -536,14 +549,14 @@ def pooled_candidate(
 
 
 def pooled_sentence(pooled: PooledCandidate) -> str:
-    """Say in one sentence what several dives say of a candidate."""
+    """Return the pooled verdict on a candidate as one sentence."""
     verdict, dives = pooled.verdict, f"{pooled.judged} of {pooled.dives} dives"
     if verdict == Verdict.NOT_EVALUATED:
-        found = f"it is judged in {dives}; settle the others first"
+        found = f"it is evaluated in only {dives}. Settle the others first"
         return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."
     spoken = spoken_of(verdict, pooled.rows, DECIDING_TOGETHER)
     pieces = [
-        f"{changed(row.quantity, finite(row.ratio))} (95 % over dives: "
+        f"{changed(row.quantity, finite(row.ratio))} (95 % interval over dives: "
         f"{interval_in_words(row.ratio, row.low, row.high)}; "
         f"{'sooner' if row.evidence == 'convergence' else 'smaller'} in {row.dives_won} of {row.dives} dives, "
         f"p = {finite(row.p):.2g})"
@@ -551,6 +564,6 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
     ]
     if spoken and verdict == Verdict.UNDECIDED:
         pieces.append(_needed(spoken[0], float(spoken[0].dives), spoken[0].dives))
-    found = "; ".join(filter(None, pieces)) or "there is nothing to measure it by"
+    found = "; ".join(filter(None, pieces)) or "there is no evidence"
     left = left_undecided(verdict, pooled.rows, DECIDING_TOGETHER)
     return f"{pooled.name} {AGAINST[verdict]} {pooled.baseline} over {dives}: {found}{left}."

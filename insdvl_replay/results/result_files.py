@@ -114,7 +114,7 @@ def _log_lines(report: Report) -> Iterator[str]:
     for row in report.tables.consistency:
         if row.measurement.startswith(HELD_OUT):
             sensor = row.measurement.removeprefix(HELD_OUT)
-            yield f"filter {row.filter}: {row.rejected} readings of {sensor} withheld, and compared alone"
+            yield f"filter {row.filter}: {row.rejected} readings of {sensor} held out, used only for comparison"
         elif is_whole(row.measurement):
             yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
     yield from (candidate.sentence for candidate in report.filters.values())

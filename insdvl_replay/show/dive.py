@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any, Final, Protocol, TypeVar
@@ -44,7 +43,7 @@ from insdvl_replay.core.result import (
 from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, each_table, finite
 from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
 from insdvl_replay.evaluation.notes import is_noise_far_off
-from insdvl_replay.evaluation.verdicts import spoken_of, trust_sentence
+from insdvl_replay.evaluation.verdicts import NOTABLE_PCT, on_prediction, spoken_of, trust_sentence
 from insdvl_replay.show.document import (
     MISSING,
     TENFOLD,
@@ -60,28 +59,28 @@ from insdvl_replay.show.document import (
 )
 
 NO_REFERENCE: Final = (
-    "There is no reference: how far the filters are off, how fast they really converge, whether their errors are as "
-    "large as they say, and whether they gain what they believe cannot be told."
+    "There is no reference, so true errors are unknown: accuracy, measured convergence, credibility and the predicted "
+    "improvement cannot be checked."
 )
 SPECIFIED: Final = (
-    "Of distance: the final horizontal error. CEP50 and CEP95: half and 95 % of the horizontal errors of this run are "
-    "smaller. Without DVL: median drift over the windows of the outage test, by the withheld velocities."
+    "of distance: final horizontal error. CEP50, CEP95: 50 % and 95 % of the horizontal errors of this run are "
+    "smaller. without DVL: median drift in the DVL outage test, measured by the held-out velocities."
 )
-"""What the numbers of the headline are."""
+"""The meaning of the columns of the headline."""
 MEANS: Final = (
-    "measured: how much smaller the error is by the first piece of evidence; predicted: mean over nine states, by the "
-    "filter's own covariance"
+    "measured: how much smaller the error is, by the first row of the evidence; predicted: how much smaller sigma is, "
+    "mean of nine states, by the filter's own covariance"
 )
-"""What is in the columns of candidates."""
+"""The meaning of the columns of candidates."""
 TONES: Final[dict[str, str]] = {
     Verdict.BETTER: "good",
     Verdict.MIXED: "bad",
     Verdict.WORSE: "bad",
     Verdict.NOT_EVALUATED: "bad",
 }
-"""The colours of the words on a candidate."""
+"""The colours of verdicts."""
 LOUD: Final = (Verdict.BETTER, Verdict.WORSE, Verdict.MIXED, Verdict.NOT_EVALUATED)
-"""Words that are written in capitals."""
+"""Verdicts that are written in capitals."""
 
 
 class _FilterRow(Protocol):
@@ -97,13 +96,13 @@ def _of(name: str, rows: Iterable[Row]) -> list[Row]:
 
 
 def has_reference(report: Report) -> bool:
-    """Return whether the dive has a reference to compare with; early reports lack one of the tables that say so."""
+    """Return whether the dive has a reference; early reports lack one of the two tables that show it."""
     found = [row.verdict for row in report.tables.credibility] + [row.status for row in report.tables.reference_error]
     return any(word != ReferenceStatus.NO_REFERENCE for word in found)
 
 
 def shouted(verdict: str) -> str:
-    """Write a judgement that nobody may overlook in capitals."""
+    """Write an important verdict in capitals."""
     return verdict.upper() if verdict in LOUD else verdict
 
 
@@ -118,7 +117,7 @@ def interval_text(low: Number, high: Number) -> str:
 
 
 def verdict_in_table(row: EvidenceRow) -> str:
-    """Return the word on a piece of evidence, in brackets where it has no vote."""
+    """Return the verdict of an evidence row, in brackets if it has no vote."""
     return row.verdict if row.quantity in DECIDING or not row.verdict else f"({row.verdict})"
 
 
@@ -126,7 +125,7 @@ def verdict_in_table(row: EvidenceRow) -> str:
 
 
 def headline_table(report: Report, title: str = "", footnote: str = "") -> Iterator[DisplayTable]:
-    """Lay out what INS/DVL systems are specified by, a line for each filter: this run's own errors, where known."""
+    """Return the errors of this run as INS/DVL systems are specified, a row for each filter, where known."""
     position = {row.filter: row for row in report.tables.drift if row.quantity == "position_h"}
     outages = {(row.window_s, row.filter): row.drift_median_m for row in report.tables.outage if row.windows}
     tested = {window_s for window_s, _ in outages}
@@ -151,7 +150,7 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
 
 
 def track_fit_line(report: Report) -> Iterator[str]:
-    """State in a line what would align the baseline's track with the reference's, where that is known."""
+    """Return a line with the scale and the turn that align the baseline's track with the reference's, if known."""
     texts = []
     for row in _of(report.baseline, report.tables.track_fit):
         # With two to four digits: to the first digit of the standard error at least.
@@ -163,7 +162,7 @@ def track_fit_line(report: Report) -> Iterator[str]:
 
 
 def glance_table(report: Report) -> DisplayTable:
-    """Lay out each candidate's verdicts and its measured and predicted improvement, as far as known."""
+    """Return each candidate's verdicts, and its measured and predicted improvement."""
     known, rows = has_reference(report), []
     for name, candidate in report.filters.items():
         *gains, prediction = gain_cells(report, name)
@@ -176,12 +175,12 @@ def glance_table(report: Report) -> DisplayTable:
         (*header, *(("errors",) if known else ())),
         "llrrlll"[: 7 if known else 5],
         tuple(rows),
-        f"{MEANS}; {words}: whether they are as large as the filter says",
+        f"{MEANS}; {words}: consistency, whether they are as large as the filter's sigma",
     )
 
 
 def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
-    """Write what a candidate gains: the judgement, measured and predicted improvement, and whether it is confirmed."""
+    """Write verdict, measured improvement, predicted improvement and prediction of a candidate."""
     candidate = report.filters[name]
     if candidate.verdict == Verdict.NOT_EVALUATED:
         return Verdict.NOT_EVALUATED, MISSING, MISSING, MISSING
@@ -191,7 +190,7 @@ def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
 
 
 def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
-    """Return the tables that have rows as people see them, by name, and by filter where each filter has its own."""
+    """Return the tables that have rows, as shown: by name, and by filter if each filter has its own."""
     found: dict[tuple[str, str], DisplayTable] = {}
     for layout, rows in each_table(report.tables):
         kept: list[Any] = list(filter(_SHOWN_ROWS.get(layout.name), rows))
@@ -207,7 +206,7 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
                 found[layout.name, name] = shown(layout.row, own, footnote, filter=name, baseline=report.baseline)
         if layout.name == "consistency" and (axes := [row for row in report.tables.consistency if row.whiteness]):
             found["innovations", ""] = table_of(
-                "Innovations by axis: size, and likeness of each to the one before", axes, _INNOVATIONS
+                "Innovations by axis: size, and correlation of each with the one before", axes, _INNOVATIONS
             )
     return found
 
@@ -224,23 +223,23 @@ _INNOVATIONS: Final[tuple[Column, ...]] = (
     ("measurement", "l", "measurement:words"),
     ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),
     ("verdict", "l", "verdict"),
-    ("likeness", "r", "autocorrelation:2"),
+    ("lag-1\ncorrelation", "r", "autocorrelation:2"),
     ("limit", "r", "autocorrelation_limit:2"),
     ("whiteness", "l", "whiteness"),
 )
 
 
 def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str:
-    """State how the rows of a table are read, where that depends on the rows."""
+    """Return the footnote of a table, if it depends on the rows."""
     match table:
         case "evidence":
-            # Early reports know of no solutions that were read.
+            # Early reports have no onboard solutions.
             is_read = bool(report.config.get("filters", {}).get(name, {}).get("solution"))
             return _how_measured(max(row.starts for row in rows), is_read=is_read)
         case "convergence":
             return (
-                f"{report.baseline} ends at {number(rows[0].baseline_s)} s. nearest: when the sigma of {name} "
-                "is nearest to the target, the time of Levy and Klein. It may turn back there."
+                f"{report.baseline} reaches the target at {number(rows[0].baseline_s)} s. nearest: time at which the "
+                f"sigma of {name} is nearest to the target, as Levy and Klein count. sigma may grow again after it."
             )
         case "reference_error":
             errors = _of(name, report.tables.reference_error)
@@ -254,8 +253,8 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
             return _in_spite((row.why, f"{row.filter} {row.measurement}") for row in rows)
         case "credibility":
             return (
-                f"Expected: NEES 1, of a group 3, all together {rows[-1].dof}; 68.3 % and 99.7 %. The reference is "
-                "taken as exact. indep.: samples that do not repeat each other. "
+                f"Expected: NEES 1, of a group 3, of all {rows[-1].dof}; 68.3 % in 1 sd and 99.7 % in 3 sd. The "
+                "reference is taken as exact. "
             ) + _in_spite((row.why, label(row.quantity)) for row in rows)
     return ""
 
@@ -263,22 +262,20 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
 def _how_measured(starts: int, *, is_read: bool) -> str:
     if is_read:
         begun = (
-            f"the one start that it had against {starts} of the baseline, whose scatter low and high allow for"
+            f"The onboard solution has one start, the baseline {starts}. low and high allow for the scatter of starts."
             if starts > 1
-            else "the one start that it had against that of the baseline, which is without error (--starts 16)"
+            else "Both have one start, and the baseline's has no error (--starts 16 draws starts)."
         )
-        return (
-            f"{begun}; n: independent values that the interval rests on; of NEES the ratio is of how far it is from 1"
-        )
+        return f"{begun} n: independent values behind the interval. The ratio of NEES is that of its distance from 1."
     drawn = (
-        f"values: of this dive from its own start; ratio of accuracy: from {starts} starts, drawn from what filters say"
+        f"Values: this dive, from its own start. Ratio of accuracy: over {starts} drawn starts."
         if starts > 1
-        else "from one start, without error: what aiding gains from errors of the start is not seen (--starts 16)"
+        else "One start without error, so the gain after an error of the start is not measured (--starts 16)."
     )
     return (
-        f"{drawn}; low to high: 95 % interval on this dive, other dives may differ by more; p below 0.01 decides, rows "
-        "in brackets have no vote; n: independent values that the interval rests on; the ratio of NIS and of NEES is "
-        "of how far they are from 1"
+        f"{drawn} low, high: 95 % interval on this dive; other dives may differ by more. p below 0.01 decides. Rows in "
+        "brackets have no vote. n: independent values behind the interval. The ratio of NIS and NEES is that of their "
+        "distance from 1."
     )
 
 
@@ -290,11 +287,11 @@ def _grouped(named: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 
 
 def _in_spite(named: Iterable[tuple[str, str]]) -> str:
-    """State why verdicts are not what the interval beside them says."""
+    """State why a verdict differs from its interval."""
     reasons = _grouped(named)
     reasons.pop("", None)
-    texts = "; ".join(f"{why}: {', '.join(found)}" for why, found in reasons.items())
-    return f"In spite of the interval, {texts}." if texts else ""
+    texts = "; ".join(f"{', '.join(found)} ({why})" for why, found in reasons.items())
+    return f"Verdicts that differ from their interval: {texts}." if texts else ""
 
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.
@@ -307,7 +304,7 @@ def require_tables(names: Sequence[str]) -> None:
 
 
 def replay_result(found: Report | Sequence[Report], document: Sequence[Part], names: Sequence[str] = ()) -> Result:
-    """Return one dive or several with what is shown; of the tables that are named, data are the rows of all dives."""
+    """Return the result of one dive or several; if tables are named, its data are their rows of all dives."""
     reports = [found] if isinstance(found, Report) else found
     rows = {
         layout.name: [row for report in reports for row in getattr(report.tables, layout.name)] for layout in TABLES
@@ -324,20 +321,20 @@ def replay_result(found: Report | Sequence[Report], document: Sequence[Part], na
 
 
 def tables_named(report: Report, *names: str) -> list[DisplayTable]:
-    """Return what people are shown of some tables."""
+    """Return some tables as shown."""
     wanted = (*names, *(["innovations"] if "consistency" in names else []))
     return [table for (name, _), table in tables_of(report).items() if name in wanted]
 
 
 # --- The document, and the page.
 
-MEANING: Final = "Shaded behind panels over time: the vehicle turns (grey), or the DVL has no velocity (ochre)."
+MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
 
 
 def dive_document(
     report: Report, first: Sequence[Part] = (), figures: Sequence[Part] = (), last: Sequence[Part] = ()
 ) -> list[Part]:
-    """Lay out a report: what was measured, then what the filters say of themselves.
+    """Return a report as a document: what was measured, then what the filters predict.
 
     ``first`` is between the verdict and the evidence, ``figures`` after the evidence, ``last`` after all tables.
     """
@@ -371,7 +368,7 @@ def dive_document(
 
 
 def heading(report: Report) -> str:
-    """State in one line what was replayed, and what has become of each predicted improvement."""
+    """Return a line with what was replayed, and the verdict and prediction of each candidate."""
     texts = [_replayed(report)]
     for name, candidate in report.filters.items():
         loud = candidate.verdict in (Verdict.WORSE, Verdict.NOT_EVALUATED)
@@ -389,14 +386,14 @@ def _replayed(report: Report) -> str:
 
 
 def closing_lines(report: Report) -> tuple[str, ...]:
-    """State for each candidate what its mean improvement is, and whose opinion that is."""
+    """Return a line for each candidate with its mean predicted improvement."""
     consistency_words = "reference error and consistency" if has_reference(report) else "outage and consistency"
     return tuple(
-        f"{name}: mean improvement over nine states {percent(means.mean_improvement_pct)} (predicted by the filter's "
-        f"own covariance; see {consistency_words}), "
-        f"mean convergence {percent(means.mean_convergence_improvement_pct)} sooner "
-        f"({percent(means.mean_convergence_unchanged_pct)} without any change; by the nearest approach "
-        f"{percent(means.mean_nearest_approach_improvement_pct)})"
+        f"{name}: predicted by its own covariance, mean of nine states: "
+        f"{percent(means.mean_improvement_pct)} smaller sigma, "
+        f"{percent(means.mean_convergence_improvement_pct)} faster convergence "
+        f"(a filter without any change has {percent(means.mean_convergence_unchanged_pct)}; by the nearest approach "
+        f"{percent(means.mean_nearest_approach_improvement_pct)}). To check it, see {consistency_words}."
         for name, means in report.filters.items()
         if means.verdict != Verdict.NOT_EVALUATED
     )
@@ -406,10 +403,10 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
     """Return the page of a replay; the same replay gives the same bytes."""
     from insdvl_replay.show.page import captioned, facts, page, pictures, settings_details
 
-    caption = "Lines are the middle of the runs from all starts, shaded where the runs lie. " if len(first) > 1 else ""
+    caption = "Line: median of the runs from all starts. Shaded: range of the runs. " if len(first) > 1 else ""
     sensors = captioned(
-        "What they had to go on: sensors and gaps",
-        "A strip is as high as the share of the time that valid samples cover; where it falls, something is missing.",
+        "Sensors and gaps",
+        "Height: share of the time with valid samples. A dip is a gap.",
         strips,
     )
     log = report.log
@@ -418,7 +415,7 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
         "SHA-256 of the log": log.sha256 or "none",
         "span on the log's clock": f"{log.start_ns} to {log.end_ns} ns",
         "tool": f"{report.tool.name} {report.tool.version}",
-        "with": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
+        "packages": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
     }
     channels = table_of(
         "Channels of the log",
@@ -434,10 +431,10 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
     return page(
         dive_document(
             report,
-            [pictures((*first, *_bars(report)), f"{caption}A click on a picture shows it alone. {MEANING}")],
+            [pictures((*first, *_bars(report)), f"{caption}Click a picture to enlarge it. {MEANING}")],
             [Heading("Figures"), *figures, Html(sensors)],
             [
-                Heading("What was lost or assumed"),
+                Heading("Notes"),
                 notes_table(report.notes),
                 Heading("Provenance"),
                 facts(origin),
@@ -453,24 +450,24 @@ def changed_settings(config: Mapping[str, Any]) -> str:
     """Write the settings that are not the defaults, a line each."""
     usual = dict(flattened(msgspec.to_builtins(Config())))
     lines = [f"{key} = {json.dumps(value)}" for key, value in flattened(config) if usual.get(key, ...) != value]
-    return "\n".join(["# what differs from the defaults", *lines] if lines else ["# the defaults"])
+    return "\n".join(["# settings that differ from the defaults", *lines] if lines else ["# all settings are defaults"])
 
 
 _MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
-"""States whose errors are a piece of evidence, and which."""
+"""States whose errors have an evidence row, with the name of that row."""
 _MOST_GAINS: Final = 2
 _FULL_PCT: Final = 100.0
-"""Longer bars end at the edge; the number beside them says it all."""
+"""Longer bars end at the edge; the number next to them is complete."""
 
 
 def _bars(report: Report) -> Iterator[str]:
-    """Draw the predicted improvement of each candidate next to the measured one, where both are known."""
+    """Draw the predicted and the measured improvement of each candidate, where both are known."""
     gains = {name: list(_gains(report, name)) for name in report.filters}
     known = {name: found for name, found in gains.items() if found}
     rows = ""
     for name, found in known.items():
         rows += f'<tr><th scope="rowgroup" colspan="4"><b>{escape(visible(name))}</b></th></tr>'
-        # Next to several candidates there is room for the mean, and for one of the states that have a measured error.
+        # With several candidates there is room for the mean and one state.
         for title, predicted_pct, measured_pct in found[: _MOST_GAINS if len(known) > 1 else None]:
             bars = ""
             for style, value_pct, top in (("predicted", predicted_pct, 1), ("measured", measured_pct, 9)):
@@ -485,7 +482,7 @@ def _bars(report: Report) -> Iterator[str]:
             )
     if known:
         yield (
-            '<section><h3>smaller errors, <b>predicted</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
+            '<section><h3>improvement, <b>predicted</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
             '<tr><th>quantity</th><th class="r">predicted</th><th class="r">measured</th><th class="axis">'
             "<span>&minus;100&nbsp;%</span><span>0</span><span>100&nbsp;%</span></th></tr></thead>"
             f"<tbody>{rows}</tbody></table></section>"
@@ -493,7 +490,7 @@ def _bars(report: Report) -> Iterator[str]:
 
 
 def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
-    """Yield label, predicted and measured improvement in percent, of what has both: first the mean."""
+    """Yield label, predicted and measured improvement in percent, where both are known; the mean first."""
     if report.filters[name].verdict == Verdict.NOT_EVALUATED:
         return
     measured = {
@@ -511,16 +508,16 @@ def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
             yield quantity if quantity == "heading" else f"{quantity}, {axis}", row.improvement_pct, measured[quantity]
 
 
-# --- The screen: one dive, of up to two candidates, fits 24 lines of 80 columns; of more candidates each has a row.
+# --- The screen: one dive with up to two candidates fits 24 lines of 80 columns; more candidates have a row each.
 
 MOST_ROWS: Final = {1: 7, 2: 1}
-"""Pieces of evidence that are shown of each candidate, by how many there are."""
+"""Number of evidence rows for each candidate, by the number of candidates."""
 _CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
-"""Pieces that are shown next to the first of each kind, and those that decided."""
+"""Evidence rows that are shown as well as those that decided and the first of each kind."""
 
 
 def dive_screen(report: Report, page: str) -> list[Part]:
-    """Lay out the screen of one dive, whose page is at ``page``."""
+    """Return the screen of one dive, whose page is at ``page``."""
     few = len(report.filters) in MOST_ROWS
     words = [part for name in report.filters for part in _candidate_parts(report, name)] if few else _many(report)
     notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
@@ -535,7 +532,7 @@ def dive_screen(report: Report, page: str) -> list[Part]:
 
 
 def _facts(report: Report) -> str:
-    """State in one line what was replayed."""
+    """Return a line with what was replayed."""
     tables, duration_s = report.tables, report.log.duration_s
     starts = max((row.starts for row in tables.evidence), default=0)
     # The first filter that takes velocities, or beams where none does.
@@ -546,7 +543,7 @@ def _facts(report: Report) -> str:
         rows = [row for row in beams if row.filter == beams[0].filter]
     rejected = sum(row.rejected for row in rows)
     met = f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected" if rows else "no velocities"
-    # A solution that was read may cover a part of the dive, or nothing: of the baseline all is compared.
+    # An onboard solution may cover only a part of the dive. The baseline is compared over all of it.
     baseline = [row.samples for row in _of(report.baseline, tables.drift)]
     compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
     known = has_reference(report)
@@ -562,8 +559,10 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
     if verdict == Verdict.NOT_EVALUATED:
         yield Sentences((word, candidate.sentence))
         return
-    yield Sentences((word, _prediction_line(candidate)))
     evidence = _of(name, report.tables.evidence)
+    is_alone = len(report.filters) == 1  # two candidates have no room for reasons and footnotes
+    known = has_reference(report) if is_alone else None
+    yield Sentences((word, _prediction_line(candidate, evidence, has_reference=known)))
     if rows := _chosen([row for row in evidence if row.evidence != CONSISTENT], MOST_ROWS[len(report.filters)]):
         columns = (
             ("evidence", "l", "quantity:label"),
@@ -576,33 +575,44 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
             ("p", "r", lambda row: decimal(row.p, 3).removeprefix("0")),
             ("", "l", verdict_in_table),
         )
-        yield table_of("", rows, columns, spare=(6, 2, 3, 1, 5, 7))
+        starts = max((row.starts for row in rows if row.evidence == "accuracy"), default=0)
+        yield table_of("", rows, columns, over_starts(starts) if is_alone else "", spare=(6, 2, 3, 1, 5, 7))
     sizes = ""
     if nis := next((row for row in evidence if row.quantity == "nis"), None):
-        fit = ": --control fits the noise." if is_noise_far_off(report.tables, baseline) else "."
+        fit = ", expected 1. Try --control, which fits the noise." if is_noise_far_off(report.tables, baseline) else "."
         values = f"{baseline} {significant(nis.baseline, 3)}, {nis.filter} {significant(nis.value, 3)}"
         sizes = f" {label(nis.quantity)}: {values}{fit}"
     yield f"{trust_sentence(report.tables, name, baseline)}{sizes}"
 
 
-def _prediction_line(candidate: CandidateVerdict) -> str:
-    """State what a candidate predicts to gain, and what has become of that."""
-    if candidate.mean_improvement_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
-        return "it was read, not run: what it believes is told of some states, or of none"
+def over_starts(starts: int) -> str:
+    """Say how values and ratio of accuracy rows differ; empty for one start."""
+    return f"ratio: over {starts} drawn starts; values: this dive, from its own start" if starts > 1 else ""
+
+
+def _prediction_line(
+    candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, has_reference: bool | None
+) -> str:
+    """State the predicted improvement of a candidate, and whether it is confirmed; with ``None`` without the reason."""
+    predicted_pct = candidate.mean_improvement_pct
+    if predicted_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
+        return "predicted: unknown. An onboard solution reports the sigma of only some states, or of none."
 
     def gained(change: float | None, gain: str, loss: str) -> str:
         return f"{percent(-change)} {loss}" if change is not None and change < 0.0 else f"{percent(change)} {gain}"
 
-    unchanged = candidate.mean_convergence_unchanged_pct
-    zero = "" if unchanged is None or not math.isfinite(unchanged) else f" ({percent(unchanged)} without any change)"
-    errors = gained(candidate.mean_improvement_pct, "smaller", "larger")
+    sigma = gained(predicted_pct, "smaller", "larger")
     convergence = gained(candidate.mean_convergence_improvement_pct, "faster", "slower")
-    prediction = candidate.prediction or Prediction.UNDECIDED
-    return f"predicted: {errors} errors, {convergence} convergence{zero}: {prediction}"
+    found = ""
+    if finite(predicted_pct) >= NOTABLE_PCT:
+        prediction = candidate.prediction or Prediction.UNDECIDED
+        found = on_prediction(prediction, evidence, has_reference=bool(has_reference))
+        found = f" {found if has_reference is not None else found.partition(':')[0]}."
+    return f"predicted: {sigma} sigma, {convergence} convergence.{found}"
 
 
 def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
-    """Choose pieces of evidence: what decided, the first of each kind and what was withheld, and what has room."""
+    """Choose evidence rows: those that decided, the first of each kind, held-out sensors, then others."""
     known = [row for row in rows if row.baseline is not None or row.value is not None]
     decided = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
     first = {row.evidence: row.quantity for row in reversed(known)}
@@ -620,7 +630,7 @@ def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
 
 
 def _many(report: Report) -> list[Part]:
-    """Lay out many candidates, a row each: the piece of evidence that decided, or could have."""
+    """Return many candidates, a row each, with the evidence row that decided or could have."""
     rows = []
     for name, candidate in report.filters.items():
         verdict, cells, predicted = Verdict(candidate.verdict), (MISSING,) * 3, (MISSING, "")
@@ -629,5 +639,5 @@ def _many(report: Report) -> list[Part]:
             for row in list(spoken_of(verdict, _of(name, report.tables.evidence)))[:1]:
                 cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high))
         rows.append((name, shouted(verdict), *cells, *predicted))
-    header = ("filter", f"against {report.baseline}", "by", "ratio", "on this dive", "predicted", "")
+    header = ("filter", f"against {report.baseline}", "evidence", "ratio", "on this dive", "predicted", "")
     return [Sentences(()), DisplayTable("", header, "lllrrrl", tuple(rows), spare=(4, 5, 6, 2))]

@@ -1,4 +1,4 @@
-"""What people see of several dives: the screen, the summary for scripts, the page that leads to each dive."""
+"""Several dives as shown: the screen, the summary for scripts, the page with a link to each dive."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,6 +20,7 @@ from insdvl_replay.show.dive import (
     gain_cells,
     has_reference,
     interval_text,
+    over_starts,
     ratio_text,
     shouted,
 )
@@ -48,7 +49,7 @@ def _failed(outcomes: Sequence[Outcome]) -> int:
 
 
 def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
-    """Pool the evidence on each candidate of a name, where two dives at least have it."""
+    """Pool the evidence on each candidate that at least two dives have."""
     reports, found = _reports(outcomes), []
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         having = [report for report in reports if name in report.filters]
@@ -60,17 +61,17 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
     return found
 
 
-# --- The screen: what all dives say together, a row a dive, and where the rest is.
+# --- The screen: the pooled verdict, a row for each dive, and where the page is.
 
 MOST_DIVES: Final = 20
-"""Of more dives those that failed and the worst have rows."""
+"""With more dives, only the failed and the worst have rows."""
 MOST_FAILED, WORST, MOST_CODES = 8, 3, 3
 FAILED: Final = GateStatus.FAILED
-"""The word in place of a judgement."""
+"""Printed instead of a verdict."""
 
 
 def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
-    """Lay out the screen of several dives, in the order of the logs, whose page is at ``index``."""
+    """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
     said = [counted(len(outcomes), "dive"), f"{_failed(outcomes)} failed"]
     codes = [{note.code for note in report.notes if note.severity == Severity.WARNING} for report in _reports(outcomes)]
     if counts := Counter(code for found in codes for code in found):
@@ -88,7 +89,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
 def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
     rows = []
     for found in pooled:
-        # The piece of evidence that decided, or could have.
+        # The evidence row that decided, or could have.
         spoken = spoken_of(found.verdict, found.rows, DECIDING_TOGETHER)
         cells = (MISSING,) * 5
         if found.verdict != Verdict.NOT_EVALUATED and spoken:
@@ -98,16 +99,16 @@ def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
         rows.append((found.name, shouted(found.verdict), *cells))
     if pooled:
         baselines = " or ".join(dict.fromkeys(found.baseline for found in pooled))
-        header = (f"against {baselines}", "all dives", "by", "ratio", "over dives", "won", "p")
+        header = (f"against {baselines}", "all dives", "evidence", "ratio", "over dives", "won", "p")
         yield DisplayTable("", header, "lllrrrr", tuple(rows), spare=(2, 4, 6, 5, 3))
         yield Sentences(())
 
 
 def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
-    """Lay out a row a dive, with the values of a single candidate, and the ratio and the word of each."""
+    """Return a row for each dive: the ratio and verdict of each candidate, and the values if there is one."""
     reports = _reports(outcomes)
     names = list(dict.fromkeys(name for report in reports for name in report.filters))
-    # The piece of evidence that comes first on most dives.
+    # The evidence row that is first on most dives.
     firsts = Counter[tuple[str, str]]()
     for report in reports:
         for name in report.filters:
@@ -115,7 +116,7 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
             if any(row.evidence != CONSISTENT for row in own):
                 firsts[own[0].quantity, own[0].unit] += 1
     quantity, unit = firsts.most_common(1)[0][0] if firsts else ("", "")
-    rows, largest = list[tuple[str, ...]](), dict[str, float]()
+    rows, largest, starts = list[tuple[str, ...]](), dict[str, float](), 0
     for outcome in outcomes:
         if isinstance(outcome, Failure):
             rows.append((outcome.log, *(([MISSING] * 4 if len(names) == 1 else [MISSING]) + [FAILED]) * len(names)))
@@ -135,13 +136,15 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
         rows.append(tuple(cells))
         if found:
             largest[outcome.log.name] = max(finite(row.ratio) for row in found.values())
+            starts = max(starts, *(row.starts for row in found.values() if row.evidence == "accuracy"), 0)
     chosen = rows
     if len(rows) > MOST_DIVES:
         failed = [row for row in rows if FAILED in row[1:]][:MOST_FAILED]
         worst = sorted(largest, key=lambda log: -largest[log])[:WORST]
         chosen = [row for row in rows if row in failed or row[0] in worst]
     left_out = len(rows) - len(chosen)
-    footnote = f"failed, and the {WORST} with the largest ratio; {left_out} more: see the page" if left_out else ""
+    shown_rows = f"failed dives and the {WORST} largest ratios; {left_out} more are on the page" if left_out else ""
+    footnote = "; ".join(filter(None, (over_starts(starts), shown_rows)))
     heads, alignment = [head for name in names for head in (name, "")], "rl" * len(names)
     if len(names) == 1:
         baselines = " or ".join(sorted({report.baseline for report in reports}))
@@ -215,17 +218,17 @@ OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]
     "evidence.csv": (evidence_csv, rows_csv(PooledRow.__struct_fields__, ()).encode()),
     INDEX: (index_page, SIGNATURE.encode()),
 }
-"""The files of several dives together: what writes them, and what they have near their beginning."""
+"""The files of several dives together: the function that writes each, and its first bytes."""
 
 
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
-    """Lay several dives out: what all say together, a row for each dive and candidate, pooled rows."""
+    """Return several dives as a document: the pooled verdict, a row for each dive and candidate, pooled rows."""
     table, *pooled = _tables(outcomes)
     return [*_opening(outcomes), replace(table, links=None), *pooled]
 
 
 def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
-    """State how many candidates are better, worse, or neither."""
+    """Yield the pooled verdicts, and the number of dives with each verdict."""
     failed, counts = _failed(outcomes), dict[str, Counter[str]]()
     yield Title(f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else ""))
     for report in _reports(outcomes):
@@ -243,16 +246,16 @@ def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
 
 _HEADER: Final = (
     "dive", "filter", "verdict", "measured", "predicted", "prediction", "baseline\nposition [m]",
-    "candidate\nposition [m]", "consistency", "warnings", "failed because",
+    "candidate\nposition [m]", "consistency", "warnings", "reason of failure",
 )  # fmt: skip
 _ALIGNMENT: Final = "lllrrlrrlrl"
 _WITH_REFERENCE: Final = (5, 6, 7)
-"""Columns that are empty for dives without a reference."""
+"""Columns that are empty without a reference."""
 _PAGE: Final = "report.html"
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
-    """Lay out the dives, each with a link to its page, and the pooled evidence."""
+    """Yield the table of dives, each with a link to its page, and the pooled evidence."""
     rows, links = [], []
     for outcome in outcomes:
         if isinstance(outcome, Failure):

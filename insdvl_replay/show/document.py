@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 MISSING: Final = "-"
 TENFOLD: Final = 10.0
-"""From here on, a ratio has as many digits as other numbers."""
+"""A larger ratio has as many digits as other numbers."""
 
 
 def number(value: float | None) -> str:
@@ -67,14 +67,14 @@ def ratio(value: float | None) -> str:
 
 
 def signed_percent(value: float | None) -> str:
-    """Write a change in percent with its sign: one digit after the point, two of a small one, none of almost none."""
+    """Write a change in percent with its sign: one decimal, two if it is small, none near zero."""
     if value is None or abs(value) < 0.005:
         return MISSING if value is None else "0"
     return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
 
 
 def counted(count: int, noun: str) -> str:
-    """Write how many there are of something."""
+    """Write a count with its noun."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
@@ -92,10 +92,10 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "cell": lambda value: number(value) if isinstance(value, float) else MISSING if value is None else str(value),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }
-"""How the value of a column is written, by the name in its row type."""
+"""The format of a column's values, by the name in its row type."""
 
 Column = tuple[str, str, Callable[[Any], CellText] | str]
-"""Head; alignment; what a cell shows, or the row's key, with its form after a colon, such as ``sd:percent``."""
+"""Heading; alignment; the text of a cell, or the row's key with its format after a colon, such as ``sd:percent``."""
 
 
 def table_of(
@@ -136,11 +136,11 @@ def cell_lines(cell: CellText) -> list[str]:
 
 
 def notes_table(notes: Iterable[Note]) -> DisplayTable | str:
-    """Return what was dropped, assumed or found odd, with counts."""
+    """Return the notes as a table."""
     rows = tuple((str(note.count), note.severity, f"{note.text} [{note.code}]", note.hint) for note in notes)
     if not rows:
-        return "Nothing."
-    return DisplayTable("Notes on reading, preparing and filtering", ("count", "", "what", "what helps"), "rlll", rows)
+        return "No notes."
+    return DisplayTable("Notes on reading, preparing and filtering", ("count", "", "note", "hint"), "rlll", rows)
 
 
 def parts_for(format_: Format, document: Document) -> Iterator[Part]:
@@ -156,7 +156,7 @@ def parts_for(format_: Format, document: Document) -> Iterator[Part]:
 # --- CSV: UTF-8, LF, numbers in full, empty for what is missing.
 
 _FORMULA: Final = ("=", "+", "-", "@")
-"""A spreadsheet takes a cell for a formula that begins so; blanks before it are escapes by then."""
+"""A spreadsheet reads a cell with such a first character as a formula; leading blanks are escaped by then."""
 
 
 def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

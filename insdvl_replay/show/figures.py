@@ -1,4 +1,4 @@
-"""The figures of a replay: what was measured, and what the filters predict of their own errors."""
+"""The figures of a replay: measured errors, and the errors that the filters predict."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,13 +40,13 @@ SIGMAS: Final = 3.0
 SETTLED: Final = 0.02
 """Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
 _SHOWN, _AIR = 0.97, 1.15
-"""Share of the values that a panel shows, since the growth in one outage would flatten all the rest; and air above."""
+"""Share of the values that a panel shows, since one outage would flatten all others; and margin above."""
 _MISSING: Final = 2.5
-"""Samples are missing where none came for this many of the usual steps."""
+"""A gap is longer than this many usual steps."""
 _WIDEST: Final = 4.0
-"""So many times the largest error a panel shows of a band: more would make a flat line of the error."""
+"""A panel shows a band up to this many times the largest error."""
 _UNITS: Final = ((2 * 3600.0, 3600.0, "h"), (20 * 60.0, 60.0, "min"), (0.0, 1.0, "s"))
-"""From this length on, this unit, of this name."""
+"""Least length, size and name of each unit."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Clock:
 
     @property
     def label(self) -> str:
-        """What is written at a time axis."""
+        """The label of a time axis."""
         return f"time [{self._unit[1]}]"
 
     def time(self, time_ns: TimeNs) -> Floats:
@@ -72,7 +72,7 @@ class Clock:
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
-    """Draw all figures of a replay: what was measured, then what the filters predict."""
+    """Draw all figures of a replay: measured errors, then predicted errors."""
     clock = Clock(replay.start_ns, replay.end_ns)
     figures = (
         *_error_figure(replay, clock),
@@ -90,7 +90,7 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
 
 
 def first_panels(replay: Replay) -> list[Panel]:
-    """Draw the first screen: the horizontal error over time, or the drift without velocities; and the track."""
+    """Draw the first two panels: the horizontal error over time, or the drift without DVL; and the track."""
     clock, panels = Clock(replay.start_ns, replay.end_ns), [track_panel(replay)]
     if replay.curves.position:
         curves, bands = [], []
@@ -148,10 +148,9 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         curves = [(name, clock.time(time_ns), position[:, axis]) for name, time_ns, _, _, position in found]
         panels.append(Panel(f"position error, {direction} [m]", clock.label, _filter_curves(curves)))
     yield Figure(
-        "How wrong they are: errors against the reference",
-        "Shaded: three standard deviations to either side, as each filter believes them. An honest filter stays "
-        "inside, and fills a good part of it; a band that is much wider than the errors leaves the panel. The position "
-        "has no band.",
+        "Errors against the reference",
+        "Shaded: three sigma of each filter to either side. The errors of a consistent filter stay inside and fill "
+        "much of the band. A band that is much wider than the errors is cut off. The position has no band.",
         tuple(panel for panel in panels if any(np.isfinite(curve.y).any() for curve in panel.curves)),
         _legend(name for name, *_ in found),
     )
@@ -173,32 +172,32 @@ def _settled_height(values: Floats) -> float:
 
 
 def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[Figure]:
-    """Draw the drift without velocities over time, and where in the dive it is large; nothing without windows."""
+    """Draw the drift without DVL over time and over the dive; nothing without windows."""
     if not curves:
         return
     windows = len(next(iter(curves.values())).begin_ns)
     how = "of one window" if windows == 1 else f"over {windows} windows, one every {SHOWN_EVERY_S} s"
     by_window = [(name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()]
     yield Figure(
-        "DVL outage test: how far they drift while the DVL is withheld",
-        f"By what the withheld velocities say, with or without a reference. First the median {how}, and shaded where "
-        f"95 % of them stay; then each window by itself, where it begins. {OutageRow.footnote}",
+        "DVL outage test: drift without the DVL",
+        f"Measured by the held-out velocities; no reference is needed. Left: median {how}; shaded: 95 % of them. "
+        f"Right: each window, at its begin. {OutageRow.footnote}",
         (
             _drift_panel(curves),
-            Panel(f"drift in {SHOWN_S} s, by where they begin [m]", clock.label, _filter_curves(by_window)),
+            Panel(f"drift in {SHOWN_S} s, at the begin of each window [m]", clock.label, _filter_curves(by_window)),
         ),
         _legend(curves),
     )
 
 
 def _drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
-    """Draw the drift without velocities over the time they are held_out: median, and where 95 % stay."""
+    """Draw the drift over the time without DVL: median, and the limit of 95 %."""
     lines = _filter_curves([(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True)
     bands = tuple(
         Band(curve.time_s, np.zeros_like(curve.p95_m), curve.p95_m, filter_style(number))
         for number, curve in enumerate(curves.values())
     )
-    return Panel("horizontal drift [m]", "time withheld [s]", lines, bands)
+    return Panel("horizontal drift [m]", "time without DVL [s]", lines, bands)
 
 
 _CONVERGED: Final = {
@@ -212,9 +211,9 @@ _FIRST_S, _FIRST = 1.0, 1e-3
 
 
 def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequence[EvidenceRow]) -> Iterator[Figure]:
-    """Draw how the true errors of drawn starts wear off, one panel for each quantity; nothing where none is known.
+    """Draw the true errors of drawn starts over time, one panel for each quantity; nothing if none is known.
 
-    ``curves`` are by quantity of `quantities.CONVERGED`; ``evidence`` has the times at which the errors are down.
+    ``curves`` are by quantity of `quantities.CONVERGED`; ``evidence`` has the times of convergence.
     """
     names, panels = [], []
     for quantity, (title, unit) in _CONVERGED.items():
@@ -240,28 +239,27 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
         panels.append(Panel(title, "time [s]", drawn, levels=(limit,), y_scale="log", x_scale="log"))
     if panels:
         yield Figure(
-            "Measured convergence: how errors of the start wear off",
-            "Rms of the true errors of runs from drawn starts, each over the last tenth of the time that has passed. A "
-            f"point marks from when on a filter is as good as {names[0]} is at the end; there is none where nothing "
-            "falls.",
+            "Measured convergence: errors of the start over time",
+            "Rms of the true errors of runs from drawn starts, over the last tenth of the elapsed time. A point marks "
+            f"the time from which a filter is as good as {names[0]} at the end. No point: the error does not fall.",
             tuple(panels),
             (
                 *_legend(names),
-                (f"{REFERENCE} {PREDICTED}", "what a filter believes of its error"),
-                (LIMIT, f"rms of {names[0]} at the end, and one standard error more"),
+                (f"{REFERENCE} {PREDICTED}", "sigma predicted by the filter"),
+                (LIMIT, f"rms of {names[0]} at the end, plus one standard error"),
             ),
         )
 
 
-# --- What the filters predict.
+# --- Predicted errors.
 
 
 def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
     """Draw the standard deviations of all filters, one panel for each state."""
     shown, panels = [], []
     for history in histories:
-        # Rows with a ping, and those that wait long for one: between two pings an uncertainty grows, and a curve
-        # through all rows would be a broad stroke of that growth.
+        # Rows with a ping, and rows in gaps. Between two pings sigma grows, and a curve through all rows would be a
+        # broad stroke.
         last = np.maximum.accumulate(np.where(history.updated, np.arange(len(history.time_ns)), 0))
         waited_ns = history.time_ns - history.time_ns[last]
         usual_ns = np.median(np.diff(history.time_ns[history.updated])) if history.updated.sum() > 1 else 0.0
@@ -279,9 +277,9 @@ def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
         title = f"{state.label} [{state.unit}]"
         panels.append(Panel(title, clock.label, dashes_on_top(curves), y_limits=y_limits))
     return Figure(
-        "What the filters believe: standard deviations",
-        "Square roots of P's diagonal, as each ping leaves them, and as they grow where pings are missing. The start, "
-        "where they fall steeply, and short peaks may lie above a panel.",
+        "Predicted standard deviations",
+        "Square roots of the diagonal of P after each ping, and their growth in gaps. The steep fall at the start and "
+        "short peaks may be cut off.",
         tuple(panels),
         _legend(history.filter for history in histories),
     )
@@ -306,8 +304,8 @@ def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[i
             title, levels = f"{history.filter}: NIS of the {innovations.measurement}", interval(innovations.dof)
             panels.append(Panel(title, clock.label, curves, levels=levels, y_scale="log"))
     return Figure(
-        "Whether they know it: normalised innovations squared",
-        "Above the interval a filter is surer than it should be; below, it trusts its measurement too little.",
+        "Normalised innovations squared (NIS)",
+        "Above the interval a filter is overconfident. Below the interval it is conservative.",
         tuple(panels),
         (
             *_legend(history.filter for history in histories),
@@ -334,7 +332,7 @@ def _reference_track(replay: Replay) -> tuple[TimeNs, Floats] | None:
 
 
 def _motion_figure(replay: Replay, clock: Clock) -> Figure:
-    """Draw the tracks from above and over time, and how the baseline says that the vehicle moved."""
+    """Draw the tracks from above and over time, and the motion by the baseline."""
     baseline = replay.histories[0]
     tracks = [
         (history.filter, filter_style(number), history.time_ns, _ned_m(history.position, baseline.position[0]))
@@ -353,9 +351,8 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     speed = Curve(clock.time(baseline.time_ns), speed_mps, solid)
     turn_rate = Curve(clock.time(ping_ns[1:]), rate_degps, solid)
     return Figure(
-        "What the vehicle did",
-        "The track from above and the depth begin at the start of the replay; speed over ground and turn rate are "
-        "the baseline's.",
+        "Motion of the vehicle",
+        "Track and depth are relative to the start of the replay. Speed over ground and turn rate are the baseline's.",
         (
             Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(above), equal=True),
             Panel("speed over ground, horizontal [m/s]", clock.label, (speed,)),
@@ -412,10 +409,10 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         curves[REFERENCE] = acceleration_at(derived.valid_ns, reference.time_ns, acceleration_b)
         legend.append((REFERENCE, "derivative of the reference's velocity"))
     time = clock.time(derived.valid_ns)
-    swing = " The swing of the DVL about the IMU is left in." if np.any(replay.config.dvl.lever_arm_m) else ""
+    swing = " The motion of the DVL about the IMU is included." if np.any(replay.config.dvl.lever_arm_m) else ""
     yield Figure(
-        f"What the acceleration is worth: from the DVL{', beside the reference' if REFERENCE in curves else ''}",
-        f"Rates of the velocity's components in body axes, at the middle of their windows.{swing}",
+        f"Acceleration derived from the DVL{' and from the reference' if REFERENCE in curves else ''}",
+        f"Slope of the velocity in body axes, at the middle of each window.{swing}",
         tuple(
             Panel(
                 f"acceleration {direction} [m/s²]",
@@ -431,11 +428,11 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
 # --- Shades behind the panels over time: where the vehicle turned, and where the DVL has no velocity.
 
 TURNS_DEGPS, OVER_S = 1.5, 10.0
-"""The heading changes by more, over the time of several pings."""
+"""In a turn the heading changes by more, over the time of several pings."""
 SILENT: Final = 3.0
-"""Pings are missing where none came for this many of the usual steps."""
+"""A gap of the DVL is longer than this many usual steps."""
 MOST: Final = 40
-"""More stretches of a kind would hide the curves: then none is shaded."""
+"""With more stretches of a kind, none is shaded, since they would hide the curves."""
 
 
 def shades_of(replay: Replay) -> tuple[Shade, ...]:
@@ -470,7 +467,7 @@ def _shaded(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
     return replace(panel, shades=shades) if panel.x_label == clock.label else panel
 
 
-# --- Strips: which part of the dive each sensor covers, so that gaps are seen.
+# --- Strips: coverage of the dive by each sensor.
 
 _COLUMNS, _HEIGHT, _TICKS = 300, 20, 5
 _FEWEST_BEAMS: Final = 3

@@ -27,7 +27,7 @@ from insdvl_replay.show.document import cell_lines, parts_for
 from insdvl_replay.show.plot import panel_svg, style_sheet
 
 _SHORT: Final = 20
-"""Cells with more characters are folded; the others are on one line."""
+"""Longer cells are folded; the others are on one line."""
 SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 
@@ -35,7 +35,7 @@ def page(document: Document, script: str = "") -> bytes:
     """Render a document with a title as a page; the same document gives the same bytes.
 
     Before the first heading are links to all of them. Tables that follow each other are side by side where there is
-    room. The script makes the page more comfortable; the page can do without it.
+    room. The page works without the script.
     """
     shown = list(parts_for("html", document))
     [title] = [escape(part.text) for part in shown if isinstance(part, Title)]
@@ -51,7 +51,7 @@ def page(document: Document, script: str = "") -> bytes:
         '<html lang="en">',
         '<meta charset="utf-8">',
         SIGNATURE,
-        # Nothing from elsewhere, and no script but the page's own.
+        # Nothing from the network, and only the page's own script.
         f"<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'{own}\">",
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{title}</title>",
@@ -75,7 +75,7 @@ def sorting_script() -> str:
 
 
 def fragment(document: Document) -> str:
-    """Render a document as a part of somebody else's page, such as a notebook, with no style of its own."""
+    """Render a document as a part of another page, such as a notebook, without a style of its own."""
     titles = "".join(f"<h3>{escape(part.text)}</h3>" for part in document if isinstance(part, Title))
     return f"<div>{titles}{''.join(_html(part) for part in document if not isinstance(part, Title))}</div>"
 
@@ -96,7 +96,7 @@ def facts(named: Mapping[str, str]) -> Html:
 
 def settings_details(settings: str) -> Html:
     """Return the resolved configuration, folded away; on paper it is unfolded."""
-    title = "Settings, which repeat this result"
+    title = "All settings (they repeat this result)"
     return Html(f"<details><summary>{title}</summary><pre>{escape(settings)}</pre></details>")
 
 
@@ -178,19 +178,19 @@ def _figure(figure: Figure) -> str:
 
 
 def captioned(title: str, caption: str, content: str, legend: str = "") -> str:
-    """Return what is drawn under its title and how it is read; all are HTML."""
+    """Return a figure with its title and caption; all are HTML."""
     head = f"<figcaption><strong>{title}</strong><span>{caption}</span>{legend}</figcaption>"
     return f"<figure>{head}{content}</figure>"
 
 
 def _key(style: str) -> str:
-    """Draw what represents a style in a legend."""
+    """Draw the legend key of a style."""
     kind, path = ("points", "M20 5h0") if style == REJECTED else ("line", "M1 5H39")
     return f'<svg viewBox="0 0 40 10"><path class="{kind} {style}" d="{path}"/></svg>'
 
 
 def _zoomed(panel: Panel, anchor: str) -> str:
-    """Render a panel that a click shows alone, as large as the window; another leads back. No script is needed."""
+    """Render a panel that a click enlarges to the window; a second click closes it. No script is needed."""
     return (
         f'<div class="zoom{" tall" if panel.equal and not panel.low else ""}" id="{anchor}">'
         f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel)}</a>'

@@ -1,4 +1,4 @@
-"""A figure drawn by matplotlib, for papers and slides: the same panels in the colours that pages have by day."""
+"""A figure drawn by matplotlib, for papers and slides, in the light colours of the pages."""
 
 import math
 from io import BytesIO
@@ -47,12 +47,12 @@ _UNDATED: Final = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": 
 
 
 def require_matplotlib() -> None:
-    """Raise a ConfigError where there is no matplotlib, which is an extra."""
+    """Raise a ConfigError if matplotlib, an optional package, is not installed."""
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
         hint = "pip install 'insdvl-replay[figures]'"
-        raise ConfigError("matplotlib draws this picture, and is not installed", hint) from error
+        raise ConfigError("this picture needs matplotlib, which is not installed", hint) from error
 
 
 def figure_png(figure: Figure) -> bytes:
@@ -61,9 +61,9 @@ def figure_png(figure: Figure) -> bytes:
 
 
 def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False) -> bytes:
-    """Draw a figure as pdf, svg, png or pgf, without a screen and in no user's style; headed: with its title.
+    """Draw a figure as pdf, svg, png or pgf, without a display and independent of user styles; headed: with its title.
 
-    A ConfigError where pgf is wanted and there is no LaTeX.
+    Raises a ConfigError for pgf without LaTeX.
     """
     require_matplotlib()
     from matplotlib import style
@@ -91,7 +91,9 @@ def drawn(figure: Figure, format_: str, width_mm: float, *, headed: bool = False
         except (RuntimeError, FileNotFoundError) as error:
             if format_ != "pgf":
                 raise
-            raise ConfigError("--format pgf needs LaTeX, which is not there", "--format pdf needs nothing") from error
+            raise ConfigError(
+                "--format pgf needs LaTeX, which is not installed", "--format pdf needs no LaTeX"
+            ) from error
     return stream.getvalue()
 
 

@@ -59,11 +59,11 @@ def document(result: Result) -> Document:
     return [
         Title(result.title),
         *sentences,
-        *([Heading("Pictures")] if result.figures else []),
+        *([Heading("Figures")] if result.figures else []),
         *result.figures.values(),
         Heading("Tables"),
         *tables,
-        Only(PAGE, (Heading("What was lost or assumed"), notes_table(result.notes), *_provenance(result))),
+        Only(PAGE, (Heading("Notes"), notes_table(result.notes), *_provenance(result))),
     ]
 
 
@@ -75,13 +75,13 @@ def _provenance(result: Result) -> list[Part]:
         for name, value in result.arguments.items()
     }
     versions = ", ".join(f"{name} {version}" for name, version in package_versions().items())
-    made_by = {"tool": f"{Tool().name} {Tool().version}", "with": versions}
+    made_by = {"tool": f"{Tool().name} {Tool().version}", "packages": versions}
     settings = [settings_details(render_toml(result.config))] if result.config else []
     return [Heading("Provenance"), facts({**asked, **made_by}), *settings]
 
 
 def result_json(result: Result) -> bytes:
-    """Write a result as JSON, null for what is missing. The same result gives the same bytes."""
+    """Write a result as JSON; missing values are null. The same result gives the same bytes."""
     if result.data is not None:
         return as_json(result.data)
     return as_json(
@@ -118,7 +118,7 @@ def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
 
 def save_result(result: Result, folder: Path, *, png: bool = False) -> None:
     """Write figures, tables, settings, the page and, last, the file by which a result is known, into a folder."""
-    # Not for who asks for the schema, which must not wait for numpy.
+    # Imported here, since the schema must not wait for numpy.
     from insdvl_replay.show.page import page
     from insdvl_replay.show.plot import sheet_svg
 

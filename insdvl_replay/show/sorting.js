@@ -14,7 +14,7 @@ for (const table of document.querySelectorAll("table")) {
   });
 }
 
-/** Numbers by size, words by alphabet; what is missing stands last either way. */
+/** Numbers by size, words by alphabet; missing values are last in both directions. */
 function compare(first, second, up) {
   const [a, b] = [first.textContent, second.textContent];
   const missing = (a === "-" || a === "") - (b === "-" || b === "");

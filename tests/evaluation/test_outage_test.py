@@ -214,7 +214,7 @@ def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
         replace(row, nis_per_dof={"30": 1.1, "60": 8.94, "120": 6.0}[window_s] / (1.0 if name == "aided" else 8.0))
         for (name, window_s), row in rows_of(coasts_that_drift(baseline=0.001, aided=0.001)).items()
     ]
-    said = " NIS / dof after 60 s without DVL: baseline 1.12, aided 8.94, expected 1: raise [noise]."
+    said = " NIS / dof after 60 s without DVL: baseline 1.12, aided 8.94, expected 1. Raise [noise]."
     assert outage_alarm(rows, ("baseline", "aided")) == said
     assert not outage_alarm(rows, ("baseline",))
     assert not outage_alarm([replace(row, nis_per_dof=None) for row in rows], ("baseline", "aided"))

@@ -217,7 +217,7 @@ def test_a_dive_without_a_reference_fits_a_terminal(alone: Replay, tmp_path: Pat
         assert max(len(line.rstrip()) for line in lines) <= width
         words = " ".join(" ".join(lines).split())
         assert words.count(NO_REFERENCE) == 1
-        assert any(line.split()[:2] == ["filter", "for"] for line in lines), "no word is folded"
+        assert any(line.split()[:2] == ["filter", "[s]"] for line in lines), "no word is folded"
         assert "Reference error" not in words
 
 
