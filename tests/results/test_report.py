@@ -172,8 +172,8 @@ def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
     innovations = [msgspec.structs.replace(made.consistency[0], why="within 10 %"), *made.consistency[1:]]
     told = msgspec.structs.replace(made, credibility=[near, far, beyond], consistency=innovations)
     text = as_markdown(dive_document(report(used=told)))
-    assert "within 10 %: velocity, north; many beyond 3 sd: accelerometer bias, x." in text
-    assert "within 10 %: baseline velocity." in text
+    assert "velocity, north (within 10 %); accelerometer bias, x (many beyond 3 sd)." in text
+    assert "baseline velocity (within 10 %)." in text
     assert "within 10 %" not in as_markdown(dive_document(report()))
 
 
