@@ -253,7 +253,7 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
             return _in_spite((row.why, f"{row.filter} {row.measurement}") for row in rows)
         case "credibility":
             return (
-                f"Expected NEES: 1 for one quantity, 3 for a group, {rows[-1].dof} for all. Expected shares: 68.3 % in 1 "
+                f"Expected NEES: 1 for one quantity, 3 for a group, {rows[-1].dof} for all. Shares: 68.3 % in 1 "
                 "sd, 99.7 % in 3 sd. The reference is taken as exact. "
             ) + _in_spite((row.why, label(row.quantity)) for row in rows)
     return ""
