@@ -1,4 +1,4 @@
-"""A vehicle calibrated from its dives: what was found, how sure it is, what is proposed and what is not."""
+"""Calibration of a vehicle from its dives: estimates, standard deviations, and what is proposed."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -66,33 +66,33 @@ from insdvl_replay.evaluation.notes import CLASSES
 from insdvl_replay.evaluation.outage_test import outage_test_table
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, run_candidates
 
-# Signal to noise from which something is moved, where it is not `SEEN`: how a filter finds its level looks like a
-# mounting, which a straight line shows with up to 3.3, and more where it is long beside accelerometers so steady that
-# they feel gravity grow with the depth that a pitched DVL claims (4.6 in 600 s, 9 in 1800 s); a DVL that smooths, or
+# Least signal to noise of an estimate, where it is not `SEEN`. The levelling of a filter looks like a mounting: on a
+# straight line the signal to noise is up to 3.3. On a long line with very stable accelerometers it is more (4.6 in
+# 600 s, 9 in 1800 s), because a pitched DVL claims a depth at which gravity would be larger. A DVL that smooths, or
 # stamps that jitter, look like a smaller scale.
 LEAST_SEEN: Final = {"mounting": 4.0, "scale": 30.0}
-SMOOTHED: Final = "seen, but not beyond what a DVL that smooths would look like"
-NOISE_ALONE: Final = "not seen beyond the noise of this IMU"
-# A step of less than so many standard deviations ends the fit with the noise that is configured.
+SMOOTHED: Final = "a DVL that smooths would look the same"
+NOISE_ALONE: Final = "not above the noise of this IMU"
+# A step of fewer standard deviations ends the fit with the configured noise.
 NEARLY_SETTLED: Final = 0.5
-# An estimate further from the configuration, in sds of the prior, comes from something else.
+# An estimate further from the configuration, in sds of the prior, has another cause.
 PLAUSIBLE_SDS: Final = 3.0
 PLAUSIBLE_SCALE: Final = 0.05
 MANY_TIMES: Final = 3.0  # Birge ratio from which dives contradict each other
-# Signal to noise below which what no model knows, such as the errors of single beams, may be as large.
+# Signal to noise below which unmodelled errors, such as those of single beams, may be as large.
 WEAK: Final = 10.0
 CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
-TOO_LARGE: Final = 2.0  # innovations that scatter by more, in their own sds, hold something that no geometry explains
+TOO_LARGE: Final = 2.0  # innovations that scatter by more, in their own sds, have another cause than the geometry
 OUTAGE_S: Final = "60"
 AXES: Final = ("forward", "starboard", "down")
 
-Refusals = Iterator[tuple[int, tuple[Estimated, str]]]  # places of parameters that must stay as they are, and why
+Refusals = Iterator[tuple[int, tuple[Estimated, str]]]  # indices of parameters that are left unchanged, and why
 
 
 @dataclass(frozen=True)
 class ReferenceCalibration:
-    """What the dives' references say of themselves: ``[reference]`` before and after, and what that rests on."""
+    """The calibration of the references: ``[reference]`` before and after, with its tables."""
 
     before: Geometry
     after: Geometry
@@ -103,32 +103,32 @@ class ReferenceCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What several dives say of their vehicle."""
+    """The calibration of a vehicle from several dives."""
 
     before: Geometry
     after: Geometry  # what is proposed
     change: Floats  # (8,): what is proposed, zero where nothing is
     rows: tuple[ParameterRow, ...]
     dives: tuple[DiveRow, ...]
-    warnings: tuple[str, ...]  # what speaks against believing it
-    fit: Fit  # of all that was asked for, with what is then held
-    noise: FittedNoise  # what is proposed of the sensors
+    warnings: tuple[str, ...]  # problems of the estimate
+    fit: Fit  # of all parameters that were asked for, held ones included
+    noise: FittedNoise  # proposed noise of the sensors
     noise_rows: tuple[NoiseRow, ...]
     held_out: tuple[HeldOutRow, ...] = ()
-    tried: str = ""  # which mounting was tried first, where nobody knew it
+    tried: str = ""  # the likeliest mounting, if it was unknown
     reference: ReferenceCalibration | None = None
 
-    def from_mounting(self, before: Geometry, ways: int) -> "Calibration":
-        """Report that so many ways of mounting were tried first, and what the configuration says in their place."""
+    def from_mounting(self, before: Geometry, mountings: int) -> "Calibration":
+        """Report that so many mountings were tried first, with the configured geometry as ``before``."""
         roll, pitch, heading = self.before.mounting_rpy_deg
         tried = (
-            f"of {ways} mountings, roll {roll:g}, pitch {pitch:g}, heading {heading:g} deg is the likeliest; changes "
-            "of the mounting are from there"
+            f"of {mountings} mountings, roll {roll:g}, pitch {pitch:g}, heading {heading:g} deg is the likeliest. The "
+            "changes of the mounting below start from it"
         )
         return replace(self, before=before, tried=tried)
 
     def change_of_dive(self, dive: int) -> Floats:
-        """Return what is proposed with the dive's own delay, (8,)."""
+        """Return the proposed change with the dive's own delay, (8,)."""
         return self.fit.change(dive) * [row.status == Estimated.ESTIMATED for row in self.rows]
 
     @property
@@ -150,17 +150,17 @@ class Calibration:
 def calibrate(
     dives: Sequence[DiveInnovations], config: Config, groups: Collection[str] = ALL_GROUPS, *, one_delay: bool = False
 ) -> Calibration:
-    """Estimate what the dives show, and leave the rest as it is."""
+    """Estimate the parameters that the dives determine, and leave the others unchanged."""
     asked = np.array([parameter.group in groups for parameter in PARAMETERS])
 
     def fitted(dives: Sequence[DiveInnovations], free: Mask, **how: Any) -> Fit:
-        # A scale that nothing shows and that runs away takes the arm with it.
+        # A scale that is not observable and diverges makes the arm wrong, too.
         found = fit(dives, free, one_delay=one_delay, **how)
         if not _is_wild(mean_change(found)[SCALE]) or certainty_of(found).seen[SCALE] >= SEEN:
             return found
         return fit(dives, free & (np.arange(len(NAMES)) != SCALE), one_delay=one_delay, **how)
 
-    # Of a noise that is far off, the standard deviations are, and a noise that is fitted before the geometry hides it.
+    # With a noise that is far off, the standard deviations are wrong. A noise fitted before the geometry hides it.
     first = fitted(dives, asked, settled=NEARLY_SETTLED)
     noise = fit_noise(dives, [first.change(i) for i in range(len(dives))])
     dives = [noise.applied(dive) for dive in dives]
@@ -168,11 +168,11 @@ def calibrate(
     noise_shares = noise_share(settled, dives)
     found = seen_by_motion(settled, dives, noise_shares)
     effects = effects_of_errors(found, dives)
-    beside = with_estimated_imu_errors(found, effects)
-    certainty = certainty_of(found, beside, pulled(beside, effects))
+    with_imu_errors = with_estimated_imu_errors(found, effects)
+    certainty = certainty_of(found, with_imu_errors, pulled(with_imu_errors, effects))
     refused = dict(_refused(certainty, mean_change(found), asked, noise_shares.min(axis=0)))
     free = asked & ~np.isin(np.arange(len(NAMES)), list(refused))
-    # Told with what is held free: a scale of 2 % that is held would be taken for arm and delay, beyond all their sds.
+    # Held parameters were free in the fit: a held scale error of 2 % would move arm and delay by many sds.
     change = np.where(free, mean_change(found), 0.0)
     noise = levelled(noise, dives, [change] * len(dives))
     is_hidden = asked.any() and not free.any()
@@ -205,21 +205,24 @@ def _is_wild(scale: float) -> bool:
 def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Floats) -> Refusals:
     for row in np.flatnonzero(asked).tolist():
         parameter = PARAMETERS[row]
-        # What beams may be off by is a part of the scale that this DVL has.
+        # The scale of this DVL includes the errors of its beams.
         seen = (certainty.seen if row == SCALE else certainty.signal_to_noise)[row]
         if noise_shares[row] > MOSTLY:
             yield row, (Estimated.HELD, f"{NOISE_ALONE}: needs {parameter.shown_by}")
         elif seen < LEAST_SEEN.get(parameter.group, SEEN):
             yield row, (Estimated.HELD, SMOOTHED if row == SCALE and seen >= SEEN else f"needs {parameter.shown_by}")
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
-            yield row, (Estimated.IMPLAUSIBLE, "at the edge of what is looked at: are the clocks the same?")
+            yield row, (Estimated.IMPLAUSIBLE, "at the edge of the search range. Check the clocks and stamps")
         elif row == SCALE and _is_wild(change[row]):
             yield (
                 row,
-                (Estimated.IMPLAUSIBLE, "no sound of speed is so wrong: does the DVL smooth, or the stamps jitter?"),
+                (
+                    Estimated.IMPLAUSIBLE,
+                    "larger than any error of the speed of sound. The DVL may smooth, or the stamps may jitter",
+                ),
             )
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
-            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration: are the axes right?")
+            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration. Check the axes")
 
 
 def parameter_rows(
@@ -230,7 +233,7 @@ def parameter_rows(
     asked: Mask,
     refused: Mapping[int, tuple[Estimated, str]],
 ) -> Iterator[ParameterRow]:
-    """Lay out parameters in their order: what is proposed, what was found and is not believed, and how sure each is."""
+    """Yield the rows of the parameters: the proposed or rejected change, with its standard deviations."""
     sds = np.array([getattr(certainty, name) for name in ("formal", "correlated", "between", "beams", "imu", "sd")])
     for row, parameter in enumerate(parameters):
         if not asked[row]:
@@ -253,40 +256,40 @@ def finite_or_none(value: float) -> Number:
 def _warnings(
     found: Fit, certainty: Certainty, free: Mask, dives: Sequence[DiveRow], noise: Sequence[NoiseRow]
 ) -> Iterator[str]:
-    """State what speaks against the answer."""
+    """Yield the warnings about the estimate."""
     for row in np.flatnonzero(free & (np.nan_to_num(certainty.birge) > MANY_TIMES)):
         yield (
-            f"the dives differ in {NAMES[row]} {certainty.birge[row]:.1f} times as much as each is sure: "
-            "was the DVL moved between them?"
+            f"{NAMES[row]} differs between the dives by {certainty.birge[row]:.1f} times the expected scatter. "
+            "The DVL may have been moved"
         )
     weak = ", ".join(NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK)
     if weak:
-        yield f"weakly seen, signal to noise below {WEAK:g}: {weak}; try them on other dives (--hold-out)"
+        yield f"weakly observable, signal to noise below {WEAK:g}: {weak}. Test the result on other dives (--hold-out)"
     for first, second, correlation in correlations(found, INSEPARABLE):
-        yield f"{first} and {second} can hardly be told apart (correlation {correlation:+.2f})"
+        yield f"{first} and {second} are strongly correlated ({correlation:+.2f})"
     for dive in dives:
         for axis, scatter, correlation in zip(AXES, dive.axes("after"), dive.axes("autocorrelation"), strict=True):
             if scatter > TOO_LARGE:
                 yield (
-                    f"{dive.dive}: innovations {axis} still scatter by {scatter:.1f} of their standard deviations: "
-                    "wrong axes or units"
+                    f"{dive.dive}: innovations {axis} have {scatter:.1f} times their expected standard deviation. "
+                    "Check axes and units"
                 )
             elif correlation > CORRELATED:
                 yield (
-                    f"{dive.dive}: neighbouring innovations {axis} are alike ({correlation:.2f}): the DVL smooths, "
-                    "or is less noisy along this axis than along others"
+                    f"{dive.dive}: innovations {axis} are correlated (lag-1 correlation {correlation:.2f}). The DVL "
+                    "smooths, or has less noise along this axis than along the others"
                 )
     for found_noise in noise:
         if found_noise.status == Estimated.IMPLAUSIBLE:
             sensors = CLASSES[found_noise.parameter].name
             yield (
-                f"{found_noise.parameter}: {found_noise.why}: vibration, stamps that jitter, or what is left of "
-                f"geometry and time stands in it for the {sensors}' own; it is not proposed"
+                f"{found_noise.parameter} is not proposed: {found_noise.why}. Vibration, jitter of the stamps, or "
+                f"errors of geometry and delay are larger than the noise of the {sensors}"
             )
 
 
 def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = None) -> HeldOutRow:
-    """Say how a dive that was not fitted fares before and after a change, (8,), and with another noise, too."""
+    """Return the row of a held-out dive: NIS and drift before and after a change, (8,), and NIS with a new noise."""
     asked, config = read.innovations(), read.config
     alone = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
     prepared = prepare_with_heading(read.dive, alone)

@@ -1,9 +1,9 @@
-"""How sure a calibration is: three standard deviations side by side, and what may not be moved.
+"""Standard deviations of a calibration, of three kinds, and what is observable.
 
-The formal one believes that innovations are white; the second allows for their correlation; the third is what the dives
-differ by. The largest counts. Sources: Newey and West, "A simple, positive semi-definite, heteroskedasticity and
+The formal one assumes white innovations. The second allows for their correlation. The third is the scatter between
+dives. The largest counts. Sources: Newey and West, "A simple, positive semi-definite, heteroskedasticity and
 autocorrelation consistent covariance matrix", 1987; Birge, "The calculation of errors by the method of least squares",
-1932; DerSimonian and Laird, "Meta-analysis in clinical trials", 1986, for the mean of what differs from dive to dive.
+1932; DerSimonian and Laird, "Meta-analysis in clinical trials", 1986, for the mean of values that differ between dives.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,7 +21,7 @@ from insdvl_replay.evaluation.notes import readings_scatter
 from insdvl_replay.geometry.frames import beam_vectors
 
 FEWEST_DIVES: Final = 2
-# Signal to noise from which something is moved: the prior's standard deviation over what is left of it.
+# Least signal to noise of an estimate: the prior's standard deviation over that of the data.
 SEEN: Final = 3.0
 
 
@@ -29,17 +29,17 @@ SEEN: Final = 3.0
 class Certainty:
     """Standard deviations of p parameters, SI, (p,) each; the delay's is that of its mean over dives."""
 
-    prior_sd: Floats  # how far papers may be off; of a mean over dives, less
-    formal: Floats  # by the information
+    prior_sd: Floats  # of the configured values; less for a mean over dives
+    formal: Floats  # from the information matrix
     correlated: Floats  # with the correlation of the innovations
-    between: Floats  # by how the dives differ; NaN of fewer than `FEWEST_DIVES`
-    birge: Floats  # how much more dives differ than they should: 1 is expected; NaN of one dive
-    beams: Floats  # what single beams may be off by
-    imu: Floats  # what is left of the errors of the IMU
+    between: Floats  # from the scatter between dives; NaN for fewer than `FEWEST_DIVES`
+    birge: Floats  # scatter between dives over the expected one: 1 is expected; NaN for one dive
+    beams: Floats  # from errors of single beams
+    imu: Floats  # from remaining errors of the IMU
 
     @property
     def sd(self) -> Floats:
-        """The largest of the three, and what beams and IMU may be off by beside it, at most the prior's."""
+        """The largest of the three, plus the errors of beams and IMU; at most the prior's."""
         return np.asarray(np.minimum(np.sqrt(self._largest**2 + self.beams**2 + self.imu**2), self.prior_sd))
 
     @property
@@ -53,15 +53,18 @@ class Certainty:
 
     @property
     def seen(self) -> Floats:
-        """The same with perfect beams: whether the dives show it at all."""
+        """The same with perfect beams and IMU."""
         return np.sqrt((self.prior_sd / np.minimum(self._largest, self.prior_sd)) ** 2 - 1.0)
 
 
-def certainty_of(fit: Fit, beside: Fit | None = None, pulled_by: Floats | None = None) -> Certainty:
-    """Say how sure a fit is, with what `beside_imu_errors` and `pulled` return; without, where sensors are perfect."""
-    mean_of, inner = _means(fit), beside or fit
+def certainty_of(fit: Fit, with_imu_errors: Fit | None = None, pulled_by: Floats | None = None) -> Certainty:
+    """Return the standard deviations of a fit, with the fit of `with_estimated_imu_errors` and the result of `pulled`.
+
+    Without these two, the sensors are taken as perfect.
+    """
+    mean_of, inner = _means(fit), with_imu_errors or fit
     formal = np.sqrt(np.einsum("ij,jk,ik->i", mean_of, inner.cov, mean_of))
-    # What the prior says is one measurement of its own, and has no neighbours.
+    # The prior is one separate measurement, without correlation.
     moved = mean_of @ inner.moved_by_scores
     scores_cov = inner.total(newey_west(near.scores) for near in inner.dives)
     correlated = np.sqrt(np.einsum("ij,jk,ik->i", moved, scores_cov, moved))
@@ -69,7 +72,7 @@ def certainty_of(fit: Fit, beside: Fit | None = None, pulled_by: Floats | None =
     if pulled_by is not None:
         parts = mean_of @ np.column_stack([pulled_by, inner.step])
         beams, imu = (np.linalg.norm(part, axis=1) for part in np.split(parts, [BEAM_ERRORS], axis=1))
-    # Behind a mean of delays that are each dive's own stand as many priors.
+    # The mean of the dives' delays has one prior for each dive.
     prior_sd = np.sqrt(mean_of**2 @ fit.prior_sd**2)
     between = birge = np.full(OWN, np.nan)
     if len(fit.dives) >= FEWEST_DIVES:
@@ -83,8 +86,8 @@ def certainty_of(fit: Fit, beside: Fit | None = None, pulled_by: Floats | None =
 def differing(own: Floats, own_sd: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """Return the sd of a mean over dives by how they differ, and the Birge ratio, (p,), of values and weights (n, p).
 
-    A dive that lies still says nothing, and differs from nothing. Where all count alike, the first is their scatter
-    over the root of how many they are.
+    A dive without motion has no weight. With equal weights, the first is the scatter over the root of the number of
+    dives.
     """
     total = weights.sum(axis=0)
     off = own - np.average(own, axis=0, weights=weights)
@@ -94,10 +97,10 @@ def differing(own: Floats, own_sd: Floats, weights: Floats) -> tuple[Floats, Flo
 
 
 def delay_weights(delays_s: Floats, sds_s: Floats) -> Floats:
-    """Return what the delay of each dive counts in their mean: as it is sure, and as they differ beyond that.
+    """Return the weight of each dive's delay in their mean, from its sd and from the scatter between dives.
 
-    Clocks are set anew before a dive: the surest one is no better guess of the next than others are. Where none tells
-    more than that, all count alike; one that lies still counts nothing.
+    Clocks are set again before a dive, so the most certain delay does not predict the next one better than others. If
+    the scatter is larger than the sds, all weigh about the same. A dive without motion has no weight.
     """
     weights = np.asarray(sds_s**-2.0)
     if len(weights) < FEWEST_DIVES:
@@ -110,7 +113,7 @@ def delay_weights(delays_s: Floats, sds_s: Floats) -> Floats:
 
 
 def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:
-    """Name the parameters that can hardly be told from each other, with their correlation."""
+    """Return the pairs of parameters with a strong correlation."""
     mean_of = _means(fit)
     cov = mean_of @ fit.cov @ mean_of.T
     sd = np.sqrt(np.diag(cov))
@@ -125,7 +128,7 @@ def mean_change(fit: Fit) -> Floats:
 
 
 def _means(fit: Fit) -> Floats:
-    """Return what makes the eight of all unknowns, (8, count): the delay is the dives', by `delay_weights`."""
+    """Return the matrix from all unknowns to the eight parameters, (8, count); the delay is a weighted mean."""
     means = np.zeros((OWN, len(fit.values)))
     means[SHARED_ROWS, fit.rows[0][SHARED_ROWS]] = 1.0
     weights = delay_weights(*own_delays(fit))
@@ -147,7 +150,7 @@ def newey_west(scores: Floats) -> Floats:
 
 
 def one_by_one(fit: Fit) -> tuple[Floats, Floats]:
-    """Return what each dive says by itself near the common answer, and its formal sds, (n, 8)."""
+    """Return the estimate of each dive alone, near the common one, and its formal sds, (n, 8)."""
     alone = [fit.alone(dive) for dive in range(len(fit.dives))]
     own_sd = [np.sqrt(np.diag(dive.cov)) for dive in alone]
     return np.array([dive.values + dive.step for dive in alone]), np.array(own_sd)
@@ -160,28 +163,28 @@ def own_delays(fit: Fit) -> tuple[Floats, Floats]:
 
 
 def autocorrelation(near: Linearised) -> Floats:
-    """Return the correlation of neighbouring residuals of each axis, far ones weighed down, (3,)."""
+    """Return the lag-1 correlation of the residuals of each axis, (3,); outliers have less weight."""
     soft = near.scaled * near.weights
     centred = soft - soft.mean(axis=0)
     return np.asarray(np.sum(centred[1:] * centred[:-1], axis=0) / np.sum(centred**2, axis=0))
 
 
-# --- What a fit owes to the motion of the vehicle, and what to the noise of its IMU.
+# --- The share of the vehicle's motion and of the IMU's noise in a fit.
 #
-# A delay or an arm that is tried lets noise of accelerometers and gyros into the innovations, of a vehicle that lies
-# still, too. Derivatives made of it look like knowledge: the delay comes to rest where innovations happen to be
-# smallest, the arm near zero, and the more surely the noisier the IMU is. How much of a derivative is noise is what it
-# changes by beside as much noise once more ("simulation extrapolation"). Where that is not little, what is found is
-# where innovations do not go with the derivative of the same dive with an averaged IMU ("instrumental variables").
+# A trial delay or arm lets noise of accelerometers and gyros into the innovations, even for a vehicle at rest. The
+# derivatives from this noise look like information: the delay ends where innovations happen to be smallest, and the
+# arm near zero, with more confidence the noisier the IMU is. The share of noise in a derivative is found by adding as
+# much noise again ("simulation extrapolation"). If it is not small, the estimate is where innovations are not
+# correlated with the derivative of the same dive with an averaged IMU ("instrumental variables").
 # Sources: Cook & Stefanski, "Simulation-extrapolation estimation in parametric measurement error models", 1994; Fuller,
 # "Measurement error models", 1987.
 
 MOTION_S: Final = 0.5  # most of what moves a vehicle is slower than this; white noise mostly faster
-# Share of the derivative's squares up to which it is taken as it is; it draws what is found to zero by as much.
+# Share of the derivative's squares up to which it is used unchanged. It pulls the estimate to zero by this share.
 LITTLE: Final = 0.01
-MOSTLY: Final = 0.5  # share beyond which the derivative is the noise's
-# Times what gyros scatter by from sample to sample, as much may be noise; what is fitted also stands for what rates
-# do between samples.
+MOSTLY: Final = 0.5  # share above which the derivative is mostly noise
+# Limit of the noise, in sample-to-sample scatter of the gyros. The fitted noise also covers changes of the rate
+# between samples.
 HIDDEN: Final = 2.0
 SEED: Final = 1
 
@@ -189,12 +192,12 @@ SEED: Final = 1
 def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
     """Return the share of the squares of the derivatives that is noise of the IMU, dive by dive, (n, 8).
 
-    A dive that lies still tells nothing, whatever the others do.
+    A dive without motion determines nothing.
     """
     shares = np.zeros((len(dives), OWN))
     for i, (dive, near) in enumerate(zip(dives, found.dives, strict=True)):
         imu, noise, rng = dive.dive.imu, dive.filter.inertial_noise, np.random.default_rng(SEED)
-        # The noise is that of all dives together: one that is noisier shows it by how its innovations scatter.
+        # The noise is common to all dives; the scatter of the innovations shows a noisier one.
         times = max(1.0, float(np.sqrt(np.mean(near.scatter**2))))
         root_s, shape = np.sqrt(imu.usual_step_s), imu.specific_force_b.shape
         shown = HIDDEN * readings_scatter(imu.angular_rate_b, imu.usual_step_s)
@@ -209,7 +212,7 @@ def noise_share(found: Fit, dives: Sequence[DiveInnovations]) -> Floats:
 
 
 def seen_by_motion(smallest: Fit, dives: Sequence[DiveInnovations], noise_shares: Floats) -> Fit:
-    """Go from where innovations are smallest to where they do not go with the vehicle's motion."""
+    """Move the fit from the smallest innovations to those that are not correlated with the vehicle's motion."""
     near_by_motion = []
     for i, (dive, near) in enumerate(zip(dives, smallest.dives, strict=True)):
         imu, noisy = dive.dive.imu, noise_shares[i] > LITTLE
@@ -230,20 +233,19 @@ def _with_imu(dive: DiveInnovations, force_b: Floats, rate_b: Floats) -> DiveInn
 
 
 def averaged(readings: Floats, step_s: float) -> Floats:
-    """Average readings over `MOTION_S` around each, (k, 3); slower ones stand for themselves."""
+    """Average readings over `MOTION_S` around each, (k, 3)."""
     half = int(0.5 * MOTION_S / step_s)
     padded = np.pad(readings, ((half, half), (0, 0)), mode="edge")
     share = np.full(2 * half + 1, 1.0 / (2 * half + 1))
     return np.column_stack([np.convolve(axis, share, mode="valid") for axis in padded.T])
 
 
-# --- Errors of beams and of the IMU that innovations do not tell from the geometry of the DVL.
+# --- Errors of beams and of the IMU that look like the geometry of the DVL.
 #
-# A beam that reads a little long turns and stretches the velocity, and so does an IMU whose axes are not at right
-# angles. These errors are not corrected. Their effect on the answer counts in its standard deviations. Of the IMU's
-# errors it is the effect of what the innovations show, and of what they leave open: it is found as if they were
-# estimated with the geometry. Source: Schmidt, "Application of state-space methods to navigation problems", 1966
-# ("consider" parameters).
+# A beam with a scale error turns and stretches the velocity, and so does an IMU whose axes are not at right angles.
+# These errors are not corrected. Their effect counts in the standard deviations of the estimate. For the IMU, the
+# effect is found as if its errors were estimated together with the geometry. Source: Schmidt, "Application of
+# state-space methods to navigation problems", 1966 ("consider" parameters).
 
 OFFSET_SD_MPS: Final = 0.001  # of a beam's constant offset. Makers of DVLs give 1 mm/s and 0.2 % or more.
 STRETCH_SD: Final = 0.002  # of a beam's scale
@@ -287,18 +289,18 @@ def _with_errors(dive: DiveInnovations) -> Iterator[DiveInnovations]:
 
 
 def with_estimated_imu_errors(fit: Fit, effects: Sequence[Floats]) -> Fit:
-    """Return the fit with derivatives that are left when the errors of the IMU are estimated beside the geometry.
+    """Return the fit with the derivatives that remain if the errors of the IMU are estimated with the geometry.
 
-    Its step leads to the answer that such an estimate would give: it is not taken, since innovations that are
-    correlated for another reason look like these errors, and counts in the standard deviations.
+    Its step leads to the result of such an estimate. The step is not taken, because innovations that are correlated for
+    another reason look like these errors. It counts in the standard deviations.
     """
     left = []
     for near, moved in zip(fit.dives, effects, strict=True):
         imu = moved[:, :, BEAM_ERRORS:]
         weighted = near.weights[:, :, None] * imu
         information = np.einsum("kai,kaj->ij", weighted, imu) + np.eye(imu.shape[2])
-        alike = np.linalg.solve(information, np.einsum("kai,kaj->ij", weighted, near.by_motion))
-        left.append(replace(near, by_motion=near.by_motion - imu @ alike))
+        explained = np.linalg.solve(information, np.einsum("kai,kaj->ij", weighted, near.by_motion))
+        left.append(replace(near, by_motion=near.by_motion - imu @ explained))
     return replace(fit, dives=tuple(left))
 
 
@@ -312,7 +314,7 @@ def pulled(fit: Fit, effects: Sequence[Floats]) -> Floats:
 
 
 def nis_by_errors(fit: Fit, effects: Sequence[Floats]) -> float:
-    """Return how much of the sum of the NIS of all dives the errors explain that the innovations show."""
+    """Return the part of the summed NIS of all dives that these errors explain."""
     total = 0.0
     for near, moved in zip(fit.dives, effects, strict=True):
         weighted = near.weights[:, :, None] * moved

@@ -1,8 +1,8 @@
-"""The numbers that are calibrated, and the innovations of a dive's velocities as they would be with other numbers.
+"""The parameters that are calibrated, and the innovations of a dive's velocities for other parameters.
 
-No log is read again: a delay moves pings in time, mounting and scale turn and stretch their velocities, and with
-another lever arm the filter looks at another place. One filter run answers each question; its gate is open, since a
-gate that follows the answer would make the cost jump.
+No log is read again: a delay moves pings in time, mounting and scale turn and stretch their velocities, and the filter
+gets another lever arm. Each set of parameters needs one filter run. The gate is off, because a gate that changes with
+the parameters would make the cost jump.
 """
 
 from collections.abc import Callable, Sequence
@@ -34,32 +34,32 @@ Mask = NDArray[np.bool_]
 
 
 class Parameter(NamedTuple):
-    """One of the numbers."""
+    """One parameter."""
 
     name: str
-    group: str  # what ``--only`` calls it
+    group: str  # name in ``--only``
     label: str
     key: str  # in ``[dvl]`` or ``[reference]``
     unit: str
     shown_as: float  # factor from SI to the unit
-    prior_sd: float  # how far the vehicle's papers may be off, SI
-    step: float  # of central differences, SI: large enough that the log's own grain does not show
-    shown_by: str  # the manoeuvre without which nobody can tell
+    prior_sd: float  # sd of the configured value, SI
+    step: float  # of central differences, SI: large against the resolution of the log
+    shown_by: str  # the manoeuvre that determines it
 
 
 _TIME: Final = ("latency_s", "s", 1.0, 0.5, 0.05)
 _LENGTH: Final = ("lever_arm_m", "m", 1.0, 3.0, 0.02)
 _ANGLE: Final = ("mounting_rpy_deg", "deg", 1.0 / DEG, 2.0 * DEG, 0.1 * DEG)
-# The mounting's prior is 2 deg, not the 5 to 10 deg by which papers may be off. With 5 deg a straight line moved roll
-# and pitch on 12 of 12 simulated dives, with errors of up to 3.4 of the sds that were said: how a filter levels looks
-# like a mounting. With 2 deg its signal to noise stays near 2, and nothing moves. A mounting that is further off is
-# found where the dive shows it.
+# The mounting's prior is 2 deg, although configured values may be wrong by 5 to 10 deg. With 5 deg a straight line
+# changed roll and pitch on 12 of 12 simulated dives, with errors of up to 3.4 reported sds: the levelling of a filter
+# looks like a mounting. With 2 deg its signal to noise stays near 2, and nothing is changed. A larger error is still
+# found if the dive determines it.
 _SPEED: Final = "changes of speed, or turns at speed"
 _TURNS: Final = "turns about down"
 _LEANING: Final = "rolling or pitching"
-_WAY: Final = "way made good, and what shows the DVL's own mounting"
+_WAY: Final = "distance travelled, and manoeuvres that determine the DVL's mounting"
 
-# Of the DVL: changes from what the configuration says. The mounting is turned about the axes of b; the scale is the
+# Of the DVL: changes from the configuration. The mounting is turned about the axes of b; the scale is the
 # logarithm of its factor.
 PARAMETERS: Final = (
     Parameter("delay", "delay", "delay", *_TIME, _SPEED),
@@ -81,7 +81,7 @@ REFERENCE_PARAMETERS: Final = (
     Parameter("reference_arm_y", "reference_arm", "ref. arm y", *_LENGTH, _TURNS),
     Parameter("reference_arm_z", "reference_arm", "ref. arm z", *_LENGTH, _LEANING),
 )
-SHARED: Final = (*PARAMETERS, *REFERENCE_PARAMETERS)  # what all dives share beside a reference
+SHARED: Final = (*PARAMETERS, *REFERENCE_PARAMETERS)  # common to all dives, with a reference
 LABELS: Final = {parameter.name: parameter.label for parameter in SHARED}
 NAMES: Final = tuple(parameter.name for parameter in PARAMETERS)
 NOISE: Final = "noise"
@@ -97,7 +97,7 @@ PRIOR_SD, STEPS = SHARED_SD[:CLOCK], SHARED_STEPS[:CLOCK]
 
 
 def moved_pings(velocities: DvlVelocities, change: Floats) -> DvlVelocities:
-    """Return what the DVL says if it were built in otherwise."""
+    """Return the pings for a changed geometry of the DVL."""
     turn_b, scale = mat_from_vector(change[MOUNTING]), np.exp(change[SCALE])
     return replace(
         velocities,
@@ -109,7 +109,7 @@ def moved_pings(velocities: DvlVelocities, change: Floats) -> DvlVelocities:
 
 
 def moved_mounting(mounting: DvlMounting, change: Floats) -> DvlMounting:
-    """Return the mounting with which a log would have to be read for `moved_pings`."""
+    """Return the mounting that matches `moved_pings`."""
     return DvlMounting(
         mounting.lever_arm_b + change[ARM],
         mat_from_vector(change[MOUNTING]) @ mounting.mat_bd,
@@ -137,7 +137,7 @@ class Geometry(Struct, frozen=True):
         return mat_from_rpy(np.array(self.mounting_rpy_deg) * DEG)
 
     def changed(self, change: Floats) -> "Geometry":
-        """Return the settings after a change, (7,) or with a scale (8,); a group without change stays to the bit."""
+        """Return the settings after a change, (7,) or with a scale (8,); a group without change is equal to the bit."""
         turn = change[MOUNTING]
         roll, pitch, heading = (rpy_from_mat(mat_from_vector(turn) @ self.mat_b) / DEG).tolist()
         x, y, z = (np.array(self.lever_arm_m) + change[ARM]).tolist()
@@ -151,14 +151,14 @@ class Geometry(Struct, frozen=True):
 
 # --- Dives and their innovations.
 
-LATEST_S: Final = 0.4  # delays are looked for up to here, either way
-SKIPPED: Final = 5  # pings at both ends that do not count: the start hangs on one of them
+LATEST_S: Final = 0.4  # largest delay of the search, either sign
+SKIPPED: Final = 5  # pings at both ends that do not count: the start depends on one of them
 FEWEST: Final = 30  # pings from which something can be estimated
-READ_S: Final = 1800.0  # of each dive so much is read: more would say the same again
-START_SPEED_SD_MPS: Final = 2.0  # the velocity at the start is left to the pings
-WILD: Final = 20.0  # times the upper quartile of what pings are off their neighbours
-LEAST_OFF_MPS: Final = 0.01  # as much is usual even on a dive on which nothing moves
-FAR: Final = 1e3  # stands for an innovation that is larger, or not finite, in its own standard deviations
+READ_S: Final = 1800.0  # most that is used of a dive; more adds little
+START_SPEED_SD_MPS: Final = 2.0  # large, so that the pings determine the velocity at the start
+WILD: Final = 20.0  # times the upper quartile of the distance of pings from the pings around them
+LEAST_OFF_MPS: Final = 0.01  # usual distance even without motion
+FAR: Final = 1e3  # replaces an innovation that is larger, or not finite, in its own standard deviations
 NO_CHANGE: Final = np.zeros(len(NAMES))
 
 
@@ -171,11 +171,11 @@ class ReadDive:
     as_read: ReferenceColumns | None = None  # its reference, before it was moved to the IMU
 
     def with_config(self, config: Config) -> "ReadDive":
-        """Take other settings for the same readings."""
+        """Return the same readings with other settings."""
         return replace(self, config=config)
 
     def innovations(self) -> "DiveInnovations":
-        """Prepare it for a fit, with pings that stay inside the span however late they are.
+        """Prepare it for a fit, with pings that stay inside the span for any delay.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class ReadDive:
         """
         prepared = prepare_with_heading(self.dive, self.config)
         baseline = replace(prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0)
-        # A change of the delay by a step beyond the latest one has to find its pings inside, too.
+        # A step beyond the largest delay also needs its pings inside.
         room_ns = nanoseconds(LATEST_S + 2.0 * float(STEPS[DELAY]))
         alignment = prepared.alignment
         start_ns = alignment.start_ns
@@ -193,10 +193,10 @@ class ReadDive:
         velocities = inside.where(steady(inside.velocity_b))
         if (count := len(velocities.time_ns) - 2 * SKIPPED) < FEWEST:
             raise LogError(
-                f"{self.dive.name}: {max(count, 0)} pings are too few to calibrate by, {FEWEST} are needed",
+                f"{self.dive.name}: {max(count, 0)} pings are too few to calibrate; {FEWEST} are needed",
                 "leave the dive out, or widen span.start_s and span.end_s",
             )
-        # The velocity at the start would tell how the DVL is turned by no more than the DVL itself does.
+        # The velocity at the start comes from the DVL, so it must not determine the mounting.
         cov = alignment.start.cov.copy()
         cov[DV, DV] += START_SPEED_SD_MPS**2 * np.eye(3)
         ready = replace(
@@ -217,7 +217,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
 
 
 def with_dvl(config: Config, geometry: Geometry) -> Config:
-    """Set how the DVL is built in."""
+    """Return the settings with another geometry of the DVL."""
     dvl = msgspec.structs.replace(config.dvl, **msgspec.structs.asdict(geometry))
     return msgspec.structs.replace(config, dvl=dvl)
 
@@ -229,29 +229,29 @@ class DiveInnovations:
     dive: Dive  # its IMU
     prepared: Prepared
     filter: ResolvedFilter  # the baseline, aided by velocities alone
-    left_out: int  # pings that no vehicle could have followed
+    left_out: int  # number of outliers
 
     @property
     def name(self) -> str:
-        """Of the dive."""
+        """Name of the dive."""
         return self.dive.name
 
     @cached_property
     def count(self) -> int:
-        """How many pings count."""
+        """Number of pings that count."""
         return len(self.prepared.velocities.time_ns) - 2 * SKIPPED
 
     @property
     def gated(self) -> ResolvedFilter:
-        """The filter with the gate that is configured."""
+        """The filter with the configured gate."""
         configured = self.prepared.filters[0]
         probability, reopen_after = configured.gate_probability, configured.gate_reopen_after
         return replace(self.filter, gate_probability=probability, gate_reopen_after=reopen_after)
 
     def moved(self, change: Floats) -> tuple[Prepared, Timeline]:
-        """Build the DVL in otherwise, by a change (8,)."""
+        """Return dive and timeline for a change of the geometry, (8,)."""
         configured = self.prepared.velocities
-        # With covariances that turn, a mounting is likelier that lays a noisy axis along a quiet one.
+        # The covariances do not turn: else a mounting with a noisy axis along a quiet one would look likelier.
         pings = replace(
             moved_pings(configured, change),
             unit_cov_b=configured.unit_cov_b,
@@ -262,15 +262,14 @@ class DiveInnovations:
         return moved, build_timeline(self.dive.imu, pings.time_ns, np.empty(0, np.int64), start_ns, end_ns, gaps)
 
     def runner(self, change: Floats) -> Callable[[ResolvedFilter], Innovations]:
-        """Return what gives the innovations of velocities with a changed geometry, filter by filter."""
+        """Return a function from a filter to its velocity innovations with a changed geometry."""
         moved, timeline = self.moved(change)
         return lambda tried: run_one(tried, moved, timeline).innovations[0]
 
     def residuals(self, change: Floats) -> Floats:
         """Return the innovations in their own standard deviations, (count, 3).
 
-        They are taken back to the DVL's own scale: in true metres a larger scale makes all of them smaller, and the fit
-        would follow.
+        They are in the DVL's own scale. In true metres a larger scale would make all of them smaller, and bias the fit.
         """
         innovations = self.runner(change)(self.filter)
         standardised = innovations.standardised[SKIPPED:-SKIPPED] * np.exp(change[SCALE])
@@ -284,7 +283,7 @@ class DiveInnovations:
 def central_differences(
     function: Callable[[Floats], Floats], at: Floats, steps: Floats, free: Mask, shape: tuple[int, ...]
 ) -> Floats:
-    """Differentiate a function whose values have a shape by its n arguments, (*shape, n); 0 where they are held."""
+    """Differentiate a function by its n arguments, (*shape, n); 0 for held ones."""
     chosen, columns = np.flatnonzero(free), np.zeros((*shape, len(at)))
     tried = [at + sign * steps[i] * np.eye(len(at))[i] for i in chosen for sign in (1.0, -1.0)]
     found = list(parallel_map(function, tried))
@@ -294,9 +293,9 @@ def central_differences(
 
 
 def steady(velocity_b: Floats) -> Mask:
-    """Find the pings, (m,), of velocities (m, 3) that are near the median of five, whatever the geometry.
+    """Find the pings, (m,), whose velocities (m, 3) are near the median of five, for any geometry.
 
-    With the gate open, a wild one would pull the filter with it.
+    Without a gate, an outlier would disturb the filter.
     """
     padded = np.pad(velocity_b, ((2, 2), (0, 0)), mode="edge")
     off = np.abs(velocity_b - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1))

@@ -1,9 +1,9 @@
-"""How noisy the sensors are, by the innovations that are left once it is known how the DVL is built in.
+"""Noise of the sensors, from the innovations that remain after the DVL is calibrated.
 
-Of three numbers, the white noise of accelerometers, gyros and DVL, those are taken under which the innovations of the
-baseline are most likely. What the innovations do not tell stays near what is configured, which is a measurement, too: a
-noise of `PRIOR_FACTOR` times as much lies one standard deviation away. The gate is the baseline's own, and one beyond
-it counts as much as the gate is, as `evaluation.consistency` has it. Source: Schweppe, "Evaluation of likelihood
+The white noise of accelerometers, gyros and DVL is chosen for the highest likelihood of the baseline's innovations.
+The configured noise is a prior: `PRIOR_FACTOR` times as much is one standard deviation away. So a noise that the
+innovations do not determine stays near it. The gate is the baseline's; an innovation outside it counts as much as the
+gate, as in `evaluation.consistency`. Source: Schweppe, "Evaluation of likelihood
 functions for Gaussian signals", 1965.
 """
 
@@ -25,9 +25,9 @@ from insdvl_replay.core.words import Estimated
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
-# What is fitted of the inertial sensors, and the readings in which it is.
+# Noise keys of the inertial sensors, and their readings.
 INERTIAL: Final = {"accel_white_mps_rts": "specific_force_b", "gyro_white_rad_rts": "angular_rate_b"}
-# Of each axis of a velocity, or of one beam.
+# For each axis of a velocity, or for one beam.
 DVL: Final[tuple[Literal["velocity_sd_mps", "beam_sd_mps"], ...]] = ("velocity_sd_mps", "beam_sd_mps")
 UNITS: Final = {
     "accel_white_mps_rts": "m/s/sqrt(s)",
@@ -37,43 +37,42 @@ UNITS: Final = {
 }
 PRIOR_FACTOR: Final = 3.0
 LARGEST_FACTOR: Final = 1e3
-# Factors of which the likeliest is the start, for a search from one place finds the nearest cause; order as of
-# `noise_of`.
+# Start factors; the likeliest starts the search, since a search finds the nearest optimum. Order as in `noise_of`.
 STARTS: Final = ((1.0, 1.0, 1.0), (0.1, 1.0, 0.3), (0.02, 1.0, 0.3), (0.1, 10.0, 0.3), (1.0, 10.0, 0.3))
 FIRST_STEP: Final = -0.7
-DIGITS: Final = 3  # of a noise; none is known so well, and further ones would differ from processor to processor
+DIGITS: Final = 3  # of a noise; more would differ between processors
 LIKELIHOOD_DIGITS: Final = 2
 LEVELLINGS: Final = 3
 ALL_FREE: Final = np.ones(3)
 SCORE_STEP: Final = 0.2  # of differences, in the logarithm of a noise
 RIDGE: Final = 1e-6  # of the information on a logarithm: it is known to be below a thousand
-# Standard deviation of the logarithm of a noise from which it is not determined: two of them are a factor of two.
+# Standard deviation of the logarithm from which a noise is not determined: two sds are a factor of two.
 UNSURE: Final = 0.35
-# Share of the NIS that slow errors of beams and IMU explain, beyond which noise of the IMU is not told from them.
+# Share of the NIS from slow errors of beams and IMU above which the noise of the IMU is not determined.
 MOST_BY_ERRORS: Final = 0.1
 UNBOUNDED: Final = 3.0  # standard deviation of the logarithm beyond which none is given
 # Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations.
 CONTRADICTED: Final = 9.0
-AS_IT_WAS: Final = "not determined by these dives, and stays as it was"
-AT_MOST: Final = "not determined by these dives: at most this, for what is configured contradicts them"
-OWN_NOISE: Final = "the baseline has noise of its own, which no other file can change"
-NO_GEOMETRY: Final = "nothing showed how the DVL is built in, and what is wrong there would be taken for noise"
+AS_IT_WAS: Final = "cannot be determined from these dives; unchanged"
+AT_MOST: Final = "cannot be determined from these dives; upper limit, since the configured value contradicts them"
+OWN_NOISE: Final = "[filters.NAME] of the baseline sets its own noise, which overrides [noise] and [dvl]"
+NO_GEOMETRY: Final = "the geometry of the DVL cannot be determined, and its errors would count as noise"
 
 
 @dataclass(frozen=True)
 class FittedNoise:
-    """Noise by its keys, SI: as the baseline has it, and as its innovations are likeliest."""
+    """Noise by its keys, SI: as configured, and with the highest likelihood of the innovations."""
 
     before: Mapping[str, float]
     after: Mapping[str, float]
 
     def applied(self, dive: DiveInnovations) -> DiveInnovations:
-        """Let the filter of a dive take its sensors to be so noisy."""
+        """Return the dive with this noise in its filter."""
         return replace(dive, filter=_with_noise(dive.filter, self.after))
 
 
 def noise_row(fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None) -> NoiseRow:
-    """Return what becomes of one noise; the sd is None where the innovations do not bound it."""
+    """Return the row of one noise; the sd is None if the innovations do not bound it."""
     before, after = fitted.before[key], fitted.after[key]
     return NoiseRow(
         key, UNITS[key], before, after, sd, sensor_class(key, after) if key in INERTIAL else "", status, why
@@ -81,7 +80,7 @@ def noise_row(fitted: FittedNoise, key: str, status: Estimated, why: str = "", s
 
 
 def noise_of(baseline: ResolvedFilter) -> dict[str, float]:
-    """Return what is fitted, by key, as a filter has it. The DVL's noise stands in one of two keys."""
+    """Return the fitted noise of a filter by key. The DVL's noise has one of two keys."""
     dvl = baseline.dvl_noise
     return {key: getattr(baseline.inertial_noise, key) for key in INERTIAL} | {dvl.key: dvl.sd_mps}
 
@@ -127,7 +126,7 @@ class _Search:
 def fit_noise(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> FittedNoise:
     """Find the noise under which the innovations of all dives together are likeliest.
 
-    The DVL may have the noise of one beam in place of one that is alike along all axes, if that is likelier.
+    The DVL's noise may become that of one beam, if that is likelier than the same noise on all axes.
     """
     from scipy.optimize import minimize  # a third of a second
 
@@ -153,9 +152,9 @@ def fit_noise(dives: Sequence[DiveInnovations], changes: Sequence[Floats]) -> Fi
 def levelled(
     fitted: FittedNoise, dives: Sequence[DiveInnovations], changes: Sequence[Floats], free: Floats = ALL_FREE
 ) -> FittedNoise:
-    """Scale all noise that is free alike, until the mean NIS is its degrees of freedom.
+    """Scale all free noise by one factor, until the mean NIS is its degrees of freedom.
 
-    What a gate rejects is constant in the likelihood, and counts in the mean NIS. The result has `DIGITS`.
+    Rejected innovations are constant in the likelihood, but count in the mean NIS. The result has `DIGITS` digits.
     """
     search = _Search.of(fitted.after, dives, changes)
     factor = 0.0
@@ -179,10 +178,10 @@ def relative_sds(
     """
     search = _Search.of(fitted.after, dives, changes)
     steps = [sign * SCORE_STEP * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
-    beside = [search.innovations(search.noise(step)) for step in steps]
+    stepped = [search.innovations(search.noise(step)) for step in steps]
     information, scatter = RIDGE * np.eye(3), np.zeros((3, 3))
     for i in range(len(dives)):
-        costs = np.array([_costs(innovations[i]) for innovations in beside])
+        costs = np.array([_costs(innovations[i]) for innovations in stepped])
         scores = (costs[1::2] - costs[::2]).T / (4.0 * SCORE_STEP)
         information += scores.T @ scores
         scatter += newey_west(scores)
@@ -198,10 +197,10 @@ def determined_noise(
     nis_by_errors: float,
     own: Filter,  # the baseline as it is configured
 ) -> tuple[FittedNoise, tuple[NoiseRow, ...]]:
-    """Propose the noise that the dives determine, and keep what is configured of the rest if they do not contradict it.
+    """Propose the noise that the dives determine; keep the configured noise otherwise, unless they contradict it.
 
-    A noise that no sensor has is held: something else is in it. The others are then scaled until the mean NIS is its
-    degrees of freedom, and are limits.
+    A noise that no sensor has is held: it has another cause. The others are then scaled until the mean NIS is its
+    degrees of freedom, and are upper limits.
     """
     sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
     scatter = {
@@ -215,14 +214,14 @@ def determined_noise(
     drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
     statuses = dict.fromkeys(fitted.after, (Estimated.ESTIMATED, ""))
     for key, value in fitted.after.items():
-        # The keys of a filter go before these of the common sections.
+        # The keys of a filter override those of the common sections.
         if any(getattr(own, name) is not None for name in ((key,) if key in INERTIAL else DVL)):
             statuses[key] = Estimated.HELD, OWN_NOISE
         elif impossible[key]:
             statuses[key] = Estimated.IMPLAUSIBLE, f"{value:g} {UNITS[key]} was found, which is {impossible[key]}"
         elif any_impossible or not sds[key] < UNSURE or (drowned and key in INERTIAL):
             statuses[key] = Estimated.NOT_DETERMINED, AS_IT_WAS
-    # Level what is proposed, beside the others as they are configured.
+    # Scale the proposed noise, with the others as configured.
     levelled_status = Estimated.NOT_DETERMINED if any_impossible else Estimated.ESTIMATED
     free = np.array([float(status == levelled_status) for status, _ in statuses.values()])
     held = {key: fitted.after[key] if statuses[key][0] == levelled_status else fitted.before[key] for key in statuses}
@@ -248,7 +247,7 @@ def determined_noise(
 
 
 def nis_per_dof(dive: DiveInnovations, change: Floats) -> float:
-    """Return the mean NIS over degrees of freedom with a changed geometry, behind the gate that is configured."""
+    """Return the mean NIS over degrees of freedom with a changed geometry, with the configured gate."""
     return float(np.mean(_sizes(dive.runner(change)(dive.gated))))
 
 
@@ -258,6 +257,6 @@ def _costs(innovations: Innovations) -> Floats:
 
 
 def _sizes(innovations: Innovations) -> Floats:
-    """Return NIS over degrees of freedom, as much of each as counts."""
+    """Return NIS over degrees of freedom, weighted."""
     weighted = (innovations.nis * innovations.weight)[SKIPPED:-SKIPPED]
     return np.asarray(weighted / innovations.dof)

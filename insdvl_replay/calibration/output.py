@@ -1,4 +1,4 @@
-"""A calibration as a result for people and programs, as settings, and in pictures."""
+"""A calibration as screen, JSON, settings and pictures."""
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -49,26 +49,26 @@ from insdvl_replay.preparation.run import FIT
 from insdvl_replay.show.document import counted, number, table_of
 from insdvl_replay.show.figures import Clock
 
-DIGITS: Final = 6  # decimals that are proposed; none of the numbers is known so well
+DIGITS: Final = 6  # decimals of proposed values, finer than any sd
 _KEPT: Final = {Estimated.HELD: "held; ", Estimated.IMPLAUSIBLE: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
 
 def calibration_result(found: Calibration, config: Config, written: str = "", figures: Sequence[Figure] = ()) -> Result:
-    """Return what is proposed, what it rests on, and what speaks against it; ``written`` is the file of settings."""
+    """Return estimates, tables and warnings; ``written`` is the settings file."""
     reference, is_found = found.reference, bool(found.estimated) or found.proposes_noise
     names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
-    nothing = "Nothing could be estimated: these dives hold no manoeuvre that would show it."
+    nothing = "Nothing could be estimated: these dives have no suitable manoeuvre."
     headline = f"Estimated: {', '.join(names)}." if is_found else nothing
     callout = Callout(headline, "good" if found.estimated and not found.warnings else "bad")
     reasons = [*_reasons(found), *map(Remark, found.warnings)]
     title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
     parts: list[Part] = [Title(title), callout]
-    parts += [f"The mounting was not known: {found.tried}."] if found.tried else []
+    parts += [f"The mounting was unknown: {found.tried}."] if found.tried else []
     parts += _tables(found)
     parts += [Sentences(tuple(reasons))] if reasons else []
     if written and is_found:
-        parts.append(f"Nothing is applied by itself: `insdvl-replay run LOG -c ... -c {written}` uses it.")
+        parts.append(f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`")
     parts += [Heading("Pictures"), *figures] if figures else []
     tables = {
         "parameters": found.all_rows,
@@ -96,7 +96,7 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
 
 
 def _reasons(found: Calibration) -> list[Remark]:
-    """State why numbers are not proposed, those with the same reason together."""
+    """Return why parameters are not proposed, grouped by reason."""
 
     rows = [(what, row) for status, what in _KEPT.items() for row in found.all_rows if row.status == status]
     reasons = [(LABELS[row.parameter], what + row.why) for what, row in rows]
@@ -108,14 +108,14 @@ def _reasons(found: Calibration) -> list[Remark]:
     return [Remark(f"{', '.join(same)}: {why}") for why, same in names.items()]
 
 
-# --- The tables as people see them.
+# --- The tables of the screen.
 
 
 def _tables(found: Calibration) -> Iterator[DisplayTable]:
-    yield _parameter_table("Change from what the configuration says; x forward, y starboard, z down", found.rows)
+    yield _parameter_table("Change from the configuration; x forward, y starboard, z down", found.rows)
     is_asked = all(row.status != Estimated.NOT_ASKED for row in found.noise_rows)
     yield table_of(
-        "White noise under which the innovations are likeliest",
+        "White noise with the highest likelihood of the innovations",
         found.noise_rows,
         (
             ("noise", "l", lambda row: f"{row.parameter} [{row.unit}]"),
@@ -124,10 +124,10 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
             ("sd", "r", "sd"),
             ("class", "l", "sensor_class"),
         ),
-        "" if is_asked else "It was not asked for, and only weighs.",
+        "" if is_asked else "Not requested. It is used only to weigh the innovations.",
     )
     yield table_of(
-        f"Innovations in standard deviations of the noise that was fitted, {', '.join(AXES)}",
+        f"Innovations in standard deviations of the fitted noise, {', '.join(AXES)}",
         found.dives,
         (
             ("dive", "l", "dive"),
@@ -136,14 +136,14 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
             ("delay\n[s]", "r", "delay_s"),
             ("before", "r", partial(_axes, "before")),
             ("after", "r", partial(_axes, "after")),
-            ("alike", "r", partial(_axes, "autocorrelation")),
+            ("lag-1\ncorrelation", "r", partial(_axes, "autocorrelation")),
         ),
-        "1 is what a filter expects that knows its noise; neighbours are alike by 0 where nothing is left to find.",
+        "Expected: 1 before and after, and a lag-1 correlation of 0.",
     )
     if found.reference is not None:
-        yield _parameter_table("The reference: change from what the configuration says", found.reference.rows)
+        yield _parameter_table("The reference: change from the configuration", found.reference.rows)
         yield table_of(
-            "Beside the reference, before and after: what velocities, or ways of 10 s, differ by, and the track",
+            "Difference from the reference, before and after: velocity (or displacement in 10 s), and track fit",
             found.reference.dives,
             (
                 ("dive", "l", "dive"),
@@ -155,12 +155,11 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
                 ("turn before\n[deg]", "r", "track_turn_before_deg"),
                 ("after\n[deg]", "r", "track_turn_after_deg"),
             ),
-            "Scale and turn would lay the filter's track on the reference's; the turn holds what the heading drifted "
-            "by.",
+            "Scale and turn align the filter's track with the reference's. The turn includes the drift of the heading.",
         )
         if found.reference.starts:
             yield table_of(
-                "Starts by the tracks of positions, with the DVL as it is proposed",
+                "Headings at the start, from the tracks of positions with the proposed DVL settings",
                 found.reference.starts,
                 (
                     ("dive", "l", "dive"),
@@ -169,7 +168,7 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
                     ("gyro bias\n[deg/h]", "r", "gyro_bias_degph"),
                     ("sd", "r", "gyro_bias_sd_degph"),
                 ),
-                'initial.heading_deg = "fit" finds them anew for each dive.',
+                'initial.heading_deg = "fit" estimates them for each dive.',
             )
     if found.held_out:
         yield table_of(
@@ -200,8 +199,8 @@ def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:
             ("between\ndives", "r", "between_dives_sd"),
             ("signal /\nnoise", "r", "signal_to_noise"),
         ),
-        "The sd is the largest of the three, with what beams (each 0.2 % and 1 mm/s) and the IMU (1500 ppm and "
-        "1 mrad) may be off by. What is below a signal to noise of 3 (mounting: 4, scale: 30) is held.",
+        "sd: the largest of the three, plus assumed errors of each beam (0.2 % and 1 mm/s) and of the IMU (1500 ppm "
+        "and 1 mrad). Below a signal to noise of 3 (mounting 4, scale 30) a parameter is held.",
     )
 
 
@@ -226,9 +225,9 @@ def _noise_after(row: NoiseRow) -> str:
 
 
 def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
-    """Write what is proposed as settings that ``-c`` reads, each with how sure it is and why.
+    """Write the proposed settings as TOML for ``-c``, each with its sd or the reason why it is held.
 
-    The dives began at ``started_ns`` since 1970, on their own clocks.
+    ``started_ns``: start of each dive since 1970, on its own clock.
     """
     days = sorted({datetime.fromtimestamp(start_ns / NS_PER_S, UTC).date().isoformat() for start_ns in started_ns})
     span = f"{days[0]} to {days[-1]}" if len(days) > 1 else days[0]
@@ -243,12 +242,12 @@ def calibration_toml(found: Calibration, started_ns: Sequence[int]) -> str:
         lines += ["", "[reference]", *_geometry_lines(reference.rows, reference.before, reference.after)]
         lines += ["", "[initial]"] if reference.starts else []
         lines += [
-            f"# {visible(start.dive)}: {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg, and a bias of "
-            f"the gyro about down of {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
+            f"# {visible(start.dive)}: heading {start.heading_deg:g} deg, sd {start.heading_sd_deg:.2g} deg; gyro bias "
+            f"about down {start.gyro_bias_degph:g} deg/h, sd {start.gyro_bias_sd_degph:.2g} deg/h"
             for start in reference.starts
         ]
         lines += [f"heading_deg = {toml_value(FIT)}"] if reference.starts else []
-    return "\n".join([*lines, *(f"# doubt: {visible(warning)}" for warning in found.warnings)]) + "\n"
+    return "\n".join([*lines, *(f"# warning: {visible(warning)}" for warning in found.warnings)]) + "\n"
 
 
 def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geometry) -> Iterator[str]:
@@ -259,7 +258,7 @@ def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geome
             continue
         yield from (f"# {_comment(row)}" for row in own)
         if old != new or any(row.status == Estimated.ESTIMATED for row in own):
-            # Digits that mean nothing are left out; what has not moved stays to the bit.
+            # Insignificant digits are dropped; unchanged values stay equal to the bit.
             pairs = zip(np.atleast_1d(old).tolist(), np.atleast_1d(new).tolist(), strict=True)
             values = tuple(now if now == was else round(now, DIGITS) for was, now in pairs)
             yield f"{key} = {toml_value(values if isinstance(new, tuple) else values[0])}"
@@ -268,22 +267,22 @@ def _geometry_lines(rows: Sequence[ParameterRow], before: Geometry, after: Geome
 def _comment(row: ParameterRow) -> str:
     match row.status:
         case Estimated.NOT_ASKED:
-            return f"{row.parameter}: not asked"
+            return f"{row.parameter}: not requested"
         case Estimated.HELD | Estimated.NOT_DETERMINED:
-            return f"{row.parameter}: as it was; {row.why}"
+            return f"{row.parameter}: unchanged; {row.why}"
         case Estimated.IMPLAUSIBLE:
-            return f"{row.parameter}: {row.change:+.4g} {row.unit} was found and is not proposed: {row.why}"
+            return f"{row.parameter}: unchanged; {row.change:+.4g} {row.unit} was found and rejected: {row.why}"
         case Estimated.ESTIMATED:
             sure = f"sd {row.sd:.2g} {row.unit}, signal to noise {row.signal_to_noise:.0f}"
             return f"{row.parameter}: {row.change:+.4g} {row.unit}, {sure}"
 
 
 def _noise_lines(row: NoiseRow) -> Iterator[str]:
-    before = f"it was {row.before:.4g} {row.unit}"
+    before = f"before: {row.before:.4g} {row.unit}"
     if row.status == Estimated.ESTIMATED:
         sd = "" if row.sd is None else f", sd {row.sd:.2g} {row.unit}"
         known_class = f", class {row.sensor_class}" if row.sensor_class else ""
-        yield f"# the innovations are likeliest with it{sd}; {before}{known_class}"
+        yield f"# highest likelihood of the innovations{sd}; {before}{known_class}"
     elif row.status in (Estimated.NOT_DETERMINED, Estimated.IMPLAUSIBLE):
         yield f"# {row.parameter}: {row.why}; {before}"
     if row.is_proposed:
@@ -292,20 +291,18 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
 
 # --- The pictures.
 
-DRAWN: Final = 6  # dives whose course is drawn; the tables have all of them
+DRAWN: Final = 6  # number of dives that are drawn; the tables list all of them
 BEFORE, AFTER = filter_style(1), filter_style(0)
 _LEGEND: Final = ((BEFORE, "before"), (AFTER, "after"))
 _PROFILE_S: Final = np.linspace(-LATEST_S, LATEST_S, 17)
-_SHARE: Final = 0.995  # of the innovations so many are inside a panel: wild ones would flatten the rest
+_SHARE: Final = 0.995  # share of the innovations inside a panel, without outliers
 _AIR: Final = 1.2
-_CAPTION: Final = (
-    "Predicted minus measured velocity, in its own standard deviation. What is left should have no pattern."
-)
+_CAPTION: Final = "Predicted minus measured velocity, in standard deviations. A good result has no pattern."
 _PLACES: Final = "dive, in the order of the table"
 
 
 def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) -> tuple[Figure, ...]:
-    """Draw innovations before and after, the cost of a delay, how dives differ and drift; nothing where none is."""
+    """Draw innovations before and after, the cost of a delay, the scatter between dives, and drift in outages."""
     figures, profiles = [], []
     for i, dive in enumerate(found.noise.applied(dive) for dive in dives[:DRAWN]):
         change = found.change_of_dive(i)
@@ -317,17 +314,17 @@ def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) ->
             height = _AIR * float(np.quantile(np.abs(np.concatenate(pair)), _SHARE))
             panels.append(Panel(f"innovation {axis} [sd]", clock.label, curves, y_limits=(-height, height)))
         figures.append(Figure(f"Innovations of {dive.name}", _CAPTION, tuple(panels), _LEGEND))
-        # What a delay costs beyond the best, with all else as it was found.
+        # The cost of a delay above its minimum, with all other parameters as estimated.
         delays_s = np.union1d(_PROFILE_S, change[DELAY])
         costs = delay_profile(dive, change, delays_s)
         costs = costs - costs.min()
         proposed = Curve(np.repeat(change[DELAY], 2), np.array([0.0, costs.max()]), REFERENCE)
         curves = (Curve(delays_s, costs, AFTER), proposed)
-        profiles.append(Panel(dive.name, "delay [s], from the configured one", curves))
+        profiles.append(Panel(dive.name, "delay [s], change from the configuration", curves))
     costs_figure = Figure(
-        "What a delay costs",
-        "The sum of the squares of the innovations, far ones counted less, above its least. A deep valley is a sure "
-        "delay; several of them, or a floor, are none.",
+        "Cost of the delay",
+        "Sum of the squared innovations above its minimum; outliers have less weight. One deep minimum is a certain "
+        "delay. Several minima, or a flat curve, are not.",
         tuple(profiles),
         ((AFTER, "cost"), (REFERENCE, "as fitted")),
     )
@@ -335,7 +332,7 @@ def calibration_figures(found: Calibration, dives: Sequence[DiveInnovations]) ->
 
 
 def _between_dives(found: Calibration) -> Iterator[Figure]:
-    """Draw what each dive says by itself; nothing of one dive."""
+    """Draw the estimate of each dive alone; nothing for one dive."""
     own, own_sd = one_by_one(found.fit)
     common, drawn = mean_change(found.fit), found.fit.free
     if len(own) < 2 or not drawn.any():
@@ -349,9 +346,9 @@ def _between_dives(found: Calibration) -> Iterator[Figure]:
         title, level = f"{parameter.label} [{parameter.unit}]", parameter.shown_as * float(common[row])
         curves = (bars, Curve(place, value, BEFORE, points=True))
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
-    caption = "By innovations alone: the change that one dive would make, with its formal standard deviation."
+    caption = "From innovations only: the change estimated from one dive, with its formal standard deviation."
     legend = ((BEFORE, "one dive"), (LIMIT, "all dives"))
-    yield Figure("What each dive says by itself", caption, tuple(panels), legend)
+    yield Figure("Estimate of each dive alone", caption, tuple(panels), legend)
 
 
 def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
@@ -361,11 +358,11 @@ def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
         place = np.arange(1.0, len(pairs) + 1.0)
         bars = Curve(np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE)
         ends = [Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))]
-        caption = f"Median drift in 60 s without velocities; {counted(len(pairs), 'dive')} had windows."
+        caption = f"Median drift in 60 s without DVL; {counted(len(pairs), 'dive')} had windows."
         panel = Panel("horizontal drift [m]", _PLACES, (bars, *ends), x_whole=True)
-        yield Figure("Outages on dives that were not fitted", caption, (panel,), _LEGEND)
+        yield Figure("DVL outage test on held-out dives", caption, (panel,), _LEGEND)
 
 
 def _interrupted(low: Floats, high: Floats) -> Floats:
-    """Lay lines end to end with a gap behind each."""
+    """Join lines into one array, with a NaN after each."""
     return np.column_stack([low, high, np.full(len(low), np.nan)]).ravel()

@@ -1,13 +1,13 @@
-"""Dives with a reference: where it sits, how it is turned and how late it is, and what it says of the DVL.
+"""Calibrate the reference (lever arm, mounting, delay), and the DVL with its help.
 
-Velocities are compared in the axes of the body, each by its own attitude, so that the heading that a filter has lost
-does not count; attitudes by how their difference changes from row to row, which the same heading hardly moves, and
-level by its mean. Where the reference has no velocity, ways between its positions are compared, turned likewise. The
-filter is run anew for whatever changes what it is told, or when it is asked; the reference is moved as
-`preparation.prepared` moves it.
+Velocities are compared in body axes, each with its own attitude, so that the heading error of a filter does not count.
+Attitudes are compared by the change of their difference from row to row, on which a constant heading error has little
+effect; level by the mean difference. Without a velocity in the reference, displacements between its positions are
+compared, turned in the same way. The filter runs again for each change of its inputs or output times. The reference is
+moved as in `preparation.prepared`.
 
-What the innovations said of the DVL is a measurement of its own, as sure as they are, so that the two heads are told
-apart: velocities see the sum of how the reference and the DVL are turned, and innovations see the DVL alone.
+The result from the innovations is a prior for the DVL, with its sds. This separates the two mountings: velocities
+depend on the sum of the mountings of reference and DVL, innovations only on that of the DVL.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -69,27 +69,27 @@ from insdvl_replay.preparation.prepared import reference_at_imu
 from insdvl_replay.preparation.run import fitted_start, run_one
 
 COUNT: Final = len(SHARED)
-# Of each dive alone, where the reference has no attitude: the filter's heading, and how it drifts over the dive.
+# Unknowns of each dive, if the reference has no attitude: heading error of the filter, and its drift.
 OWN: Final = 2
-OF_DVL: Final = (HEADING, SCALE)  # what a reference may move of the DVL
-SETTLED_S: Final = 30.0  # after the start, which hangs on the reference
-APART_S: Final = 0.5  # rows of the reference that are nearer to each other would say the same
-WAY_S: Final = 10.0  # between two positions: the way is longer than a fix is wrong
+OF_DVL: Final = (HEADING, SCALE)  # parameters of the DVL that a reference may change
+SETTLED_S: Final = 30.0  # after the start, which depends on the reference
+APART_S: Final = 0.5  # least time between reference rows; closer rows add nothing
+WAY_S: Final = 10.0  # between two positions: the displacement is larger than the error of a fix
 LATEST_CLOCK_S: Final = 1.0
 LOST_HEADING_SD: Final = 10.0 * DEG
 ATTITUDE, LEVEL, MOTION = 0, 1, 2  # families of rows
 ROUNDS: Final = 5
-# Between two samples of the IMU the attitude is interpolated, which shifts a clock by about as much on all dives.
+# The attitude is interpolated between IMU samples, which shifts the clock by about this on all dives.
 FINEST_CLOCK_S: Final = 2e-4
-# Of what the innovations said of the DVL, the reference moves scale, pitch and heading; what may be wrong of the rest
-# counts in every standard deviation. Velocities just behind a ping would mistake its noise for a delay.
+# The reference changes scale, pitch and heading of the DVL. Errors of its other parameters count in every standard
+# deviation. Velocities just after a ping would take its noise for a delay.
 CONSIDERED: Final = np.array(
     [parameter.name in ("delay", "mounting_x", "arm_x", "arm_y", "arm_z") for parameter in SHARED]
 )
-WAY: Final = "way made good beside the reference"
+WAY: Final = "distance travelled, compared with the reference"
 
 
-# --- What a dive's reference and its baseline say of each other.
+# --- Compare a dive's baseline with its reference.
 
 
 @dataclass(frozen=True)
@@ -98,22 +98,22 @@ class Compared:
 
     time_s: Floats  # (k,), since the start
     family: NDArray[np.int64]  # (k,): `ATTITUDE` and `LEVEL`, rad, or `MOTION`, m/s or m
-    values: Floats  # (k, 3); NaN where nothing is known
-    own: Floats  # (k, 3, 2): derivative by what is the dive's own
+    values: Floats  # (k, 3); NaN if unknown
+    own: Floats  # (k, 3, 2): derivative by the dive's own unknowns
 
 
 @dataclass(frozen=True)
 class ReferenceDive:
-    """A dive that has a reference, with a DVL built in as its innovations said."""
+    """A dive with a reference, and with the geometry of the DVL from its innovations."""
 
     asked: DiveInnovations
-    reference: ReferenceColumns  # as it was read, thinned, and inside the span however late it is
+    reference: ReferenceColumns  # as it was read, thinned, and inside the span for any delay
     settings: Geometry  # as configured
-    change: Floats  # (8,): what the innovations said of the DVL
+    change: Floats  # (8,): change of the DVL's geometry from the innovations
     gives_start: bool  # whether the filter starts from the reference's attitude
 
     def moved_reference(self, shared: Floats) -> ReferenceColumns:
-        """Return the reference as it would be read with other settings, at the IMU."""
+        """Return the reference at the IMU, read with other settings."""
         settings = self.settings.changed(shared[CLOCK:])
         late = replace(self.reference, time_ns=self._times_ns(shared))
         return reference_at_imu(late, self.asked.dive.imu, np.array(settings.lever_arm_m), settings.mat_b)
@@ -122,15 +122,15 @@ class ReferenceDive:
         return np.asarray(self.reference.time_ns - nanoseconds(float(shared[CLOCK])))
 
     def history(self, shared: Floats) -> History:
-        """Run the baseline with another DVL, and look at it at the reference's times, late as they are said to be."""
+        """Run the baseline with another DVL geometry, with rows at the delayed times of the reference."""
         prepared, imu, change = self.asked.prepared, self.asked.dive.imu, self.change + shared[:CLOCK]
         alignment, pings = prepared.alignment, moved_pings(prepared.velocities, change)
         timeline = build_timeline(
             imu, pings.time_ns, self._times_ns(shared), alignment.start_ns, prepared.end_ns, prepared.gaps
         )
         if self.gives_start:
-            # As the reference says once it is moved: from another heading the Earth seems to turn otherwise, which a
-            # good filter takes for tilt and slowness.
+            # Use the attitude of the moved reference. With another heading the Earth rate would be in other axes,
+            # which a good filter takes for tilt and velocity.
             late = mat_from_vector(at_time(imu.time_ns, imu.angular_rate_b, alignment.start_ns) * shared[CLOCK])
             mat_nb = alignment.start.mat_nb @ late @ mat_from_vector(-shared[REFERENCE_MOUNTING])
             alignment = replace(alignment, start=replace(alignment.start, mat_nb=mat_nb))
@@ -139,7 +139,7 @@ class ReferenceDive:
         return run_one(self.asked.filter, moved, timeline)
 
     def compared(self, shared: Floats, history: History | None = None) -> Compared:
-        """Compare with other settings, changes of `SHARED`; ``history`` as of `history`, if it is there already."""
+        """Compare with other settings, changes of `SHARED`; ``history`` is that of `history`, if it is known."""
         history = self.history(shared) if history is None else history
         theirs = self.moved_reference(shared)
         _, ours, rows = np.intersect1d(history.time_ns, theirs.time_ns, return_indices=True)
@@ -157,7 +157,7 @@ class ReferenceDive:
             their_mat_nb = theirs.mat_nb if theirs.has_attitude else mat_nb
             at_s, apart = time_s, ours_b - np.einsum("kji,kj->ki", their_mat_nb, theirs.velocity_n)
         else:
-            # Ways between positions, north and east.
+            # Displacements between positions, north and east.
             known = np.flatnonzero(theirs.known["positions"])
             ends = known[thinned(theirs.time_ns[known], WAY_S)]
             origin = theirs.position[ends[0]]
@@ -172,7 +172,7 @@ class ReferenceDive:
                 off = vector_from_mat(mat_nb[ends] @ np.swapaxes(theirs.mat_nb[ends], 1, 2))[:, 2]
                 apart -= ((off[1:] + off[:-1]) / 2.0)[:, None] * by_heading
         parts.append((MOTION, at_s, apart))
-        # An attitude of its own tells the heading that the filter has lost.
+        # A reference with attitude gives the heading error of the filter.
         lost = by_heading * (not theirs.has_attitude)
         drift = lost * (at_s / time_s[-1])[:, None]
         return Compared(
@@ -185,8 +185,8 @@ class ReferenceDive:
     def jacobian(self, shared: Floats, free: Mask) -> Floats:
         """Differentiate what is compared by the free numbers, central differences, (k, 3, 15).
 
-        The filter's attitude hangs on the DVL by little more than jumps at pings, which say nothing of how it is built
-        in: attitudes are taken to be without it.
+        The filter's attitude depends on the DVL mainly by steps at pings, which say nothing about its geometry. So the
+        derivative of attitudes by the DVL's parameters is taken as zero.
         """
         base = self.history(shared)
         compared = self.compared(shared, base)
@@ -201,14 +201,14 @@ class ReferenceDive:
 
     @cached_property
     def level_sd(self) -> float:
-        """How far roll and pitch may be off by themselves, as the filter says, rad."""
+        """Sd of roll and pitch from the filter, rad."""
         history = self.history(np.zeros(COUNT))
         settled = history.time_ns >= self.reference.time_ns[0]
         return float(np.sqrt(np.mean(history.sd[settled, PHI][:, :2] ** 2)))
 
     @cached_property
     def information_of_pings(self) -> Floats:
-        """What pings of such a scatter can tell at most, of `SHARED`; zero but for the DVL's heading and scale."""
+        """Upper limit of the pings' information on `SHARED`; zero except for heading and scale."""
         innovations = self.asked.runner(self.change)(self.asked.filter)
         scatter, velocity_b = scatter_of(innovations.innovation), innovations.measured
         information = np.zeros(COUNT)
@@ -217,7 +217,7 @@ class ReferenceDive:
         return information
 
     def linearised(self, values: Floats, free: Mask) -> tuple[Floats, Linearised]:
-        """Return the times, (k,), and what is compared at 17 values; each axis of each family over its scatter."""
+        """Return times, (k,), and the linearised comparison at 17 values; each axis of a family over its scatter."""
         shared, own = values[:COUNT], values[COUNT:]
         compared = self.compared(shared)
         off = compared.values - compared.own @ own
@@ -230,7 +230,7 @@ class ReferenceDive:
         return compared.time_s, Linearised(np.where(known, off / scatter, 0.0), np.ones(3), jacobian, jacobian)
 
     def apart(self, shared: Floats) -> tuple[float, TrackFit]:
-        """Return the rms of what velocities or ways differ by, and what would lay the track on the reference's."""
+        """Return the rms difference of velocities or displacements, and the track fit."""
         history, reference = self.history(shared), self.moved_reference(shared)
         compared = self.compared(shared, history)
         track = filter_track_fit(reference_errors(history, reference), reference)
@@ -238,7 +238,7 @@ class ReferenceDive:
 
 
 def thinned(time_ns: TimeNs, apart_s: float) -> NDArray[np.int64]:
-    """Choose rows of which no two are nearer to each other, (m,)."""
+    """Choose rows that are at least this time apart, (m,)."""
     chosen: list[int] = []
     row = 0
     while row < len(time_ns):
@@ -250,7 +250,7 @@ def thinned(time_ns: TimeNs, apart_s: float) -> NDArray[np.int64]:
 def reference_dive(
     asked: DiveInnovations, reference: ReferenceColumns, settings: Geometry, change: Floats, *, gives_start: bool
 ) -> ReferenceDive | None:
-    """Get a dive ready to be compared with its reference as it was read; None where that says too little."""
+    """Prepare a dive for the comparison with its reference; None if the reference is too short."""
     start_ns = asked.prepared.alignment.start_ns + nanoseconds(SETTLED_S)
     end_ns = asked.prepared.end_ns - nanoseconds(2.0 * LATEST_CLOCK_S)
     inside = (reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)
@@ -263,32 +263,32 @@ def reference_dive(
     return ReferenceDive(asked, kept, settings, change, gives_start and reference.has_attitude)
 
 
-# --- Reference and DVL fitted to each other: robust least squares of what the baseline and the reference differ by.
+# --- Fit of reference and DVL: robust least squares of the differences of baseline and reference.
 
 
 @dataclass(frozen=True)
 class ReferenceFit(Fit):
-    """An answer: changes of `SHARED`, then what is each of the n dives' own; what is `CONSIDERED` is not estimated."""
+    """A solution: changes of `SHARED`, then the unknowns of each of the n dives. `CONSIDERED` is not estimated."""
 
     times_s: tuple[Floats, ...]  # of each dive
-    information_of_pings: Floats  # (15,), at most; zero where they are not asked
+    information_of_pings: Floats  # (15,), at most; zero for parameters that are not requested
 
     @property
     def certainty(self) -> Certainty:
-        """Three standard deviations of each of `SHARED`, as those of a calibration without reference."""
+        """Three standard deviations of each of `SHARED`, as for a calibration without reference."""
         cov, considered = solved(self, self.information)
         moved, _ = solved(self, self.squares("jacobian", 3))
-        # What the prior says is one measurement of its own.
+        # The prior is one separate measurement.
         correlated = considered + np.sum((moved / self.prior_sd) ** 2, axis=1)
         for rows, time_s, near in zip(self.rows, self.times_s, self.dives, strict=True):
             times, at = np.unique(time_s, return_inverse=True)
             scores = np.zeros((len(times), COUNT + OWN))
             np.add.at(scores, at, near.scores)
-            # Parts of a sum that may be alike for a long time.
+            # Parts of a sum that may be correlated for a long time.
             parts = scores @ moved[rows]
             samples = np.array([max(samples_in_mean(column), 1.0) for column in parts.T])
             correlated += np.sum(parts**2, axis=0) * len(parts) / samples
-        # What all pings of a dive are off by is fitted away, and no residual shows it: their scatter says how much.
+        # A common error of all pings of a dive is fitted away and not in residuals. Their scatter gives its size.
         seen = np.flatnonzero(self.information_of_pings)
         correlated[seen] += 1.0 / self.information_of_pings[seen]
         correlated[CLOCK] += FINEST_CLOCK_S**2
@@ -306,9 +306,9 @@ class ReferenceFit(Fit):
 
 
 def solved(fit: Fit, information: Floats) -> tuple[Floats, Floats]:
-    """Return the covariance of what is estimated, and the variances that what is considered adds (Schmidt).
+    """Return the covariance of the estimated parameters, and the variances that considered ones add (Schmidt).
 
-    The first is zero, and the second the prior's, for what is considered.
+    For considered parameters the first is zero, and the second is the prior's.
     """
     considered = np.flatnonzero(CONSIDERED)
     estimated = np.setdiff1d(np.arange(len(information)), considered)
@@ -322,7 +322,7 @@ def solved(fit: Fit, information: Floats) -> tuple[Floats, Floats]:
 
 
 def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats) -> ReferenceFit:
-    """Find the changes of `SHARED`, known by some sds before, under which baseline and reference differ least."""
+    """Find the changes of `SHARED` for the least difference of baseline and reference, with ``shared_sd`` as prior."""
     own = COUNT + np.arange(OWN * len(dives)).reshape(-1, OWN)
     rows = tuple(np.append(np.arange(COUNT), places) for places in own)
     prior_sd = np.append(shared_sd, np.full(own.size, LOST_HEADING_SD))
@@ -342,18 +342,18 @@ def fit_reference(dives: Sequence[ReferenceDive], free: Mask, shared_sd: Floats)
     return fit
 
 
-# --- What is proposed.
+# --- The proposed changes.
 
 
 def with_reference(
     found: Calibration, reads: Sequence[ReadDive], dives: Sequence[DiveInnovations], groups: Collection[str]
 ) -> Calibration:
-    """Hold what the innovations said against the references of the same dives, and add what these show.
+    """Add the calibration with the references of the same dives to the one from the innovations.
 
     Raises
     ------
     LogError
-        None of the dives has a reference that says enough.
+        No dive has a reference that is long enough.
     """
     before = Geometry.of(reads[0].config.reference)
     compared: list[ReferenceDive] = []
@@ -365,20 +365,20 @@ def with_reference(
             compared += [dive] if dive is not None else []
     if not compared:
         raise LogError(
-            "no dive has a reference to calibrate by",
-            "velocities or positions are needed over a minute at least; `insdvl-replay inspect LOG` says what is there",
+            "no dive has a usable reference",
+            "the reference needs velocities or positions over at least a minute; `insdvl-replay inspect LOG` lists it",
         )
     wanted = np.array([parameter.group in groups for parameter in SHARED])
     free = wanted.copy()
     if not all(dive.reference.has_attitude for dive in compared):
         free[REFERENCE_MOUNTING] = free[REFERENCE_ARM] = False
-    # As sure as the innovations are of the DVL, but for its scale, which smoothing inside the DVL would pull.
+    # The innovations give the prior of the DVL, except for its scale, which smoothing inside the DVL would bias.
     sds = SHARED_SD.copy()
     for row, dvl_row in enumerate(found.rows):
         if row != SCALE and dvl_row.status == Estimated.ESTIMATED and dvl_row.sd is not None:
             sds[row] = min(dvl_row.sd / SHARED[row].shown_as, PRIOR_SD[row])
     by_innovations = np.concatenate([found.change, np.zeros(COUNT - CLOCK)])
-    # Once to see what is shown, and again without what is not.
+    # First with all parameters, then without those that are not observable.
     first = fit_reference(compared, free, sds)
     certainty, total = first.certainty, first.values[:COUNT] + by_innovations
     refused = dict(_refused(certainty, total, free))
@@ -389,7 +389,7 @@ def with_reference(
     refused |= dict.fromkeys(np.flatnonzero(wanted & ~free).tolist(), without_attitude)
     rows = tuple(parameter_rows(SHARED, certainty, proposed, total, wanted, refused))
     dive_rows = tuple(_dive_row(dive, fit) for dive in compared)
-    # The reference has the last word on those of the DVL's numbers that it shows.
+    # The reference replaces those parameters of the DVL that it determines.
     dvl_rows, change = list(found.rows), found.change.copy()
     for row in OF_DVL:
         if rows[row].status == Estimated.ESTIMATED:
@@ -397,7 +397,7 @@ def with_reference(
             change[row] = proposed[row]
     after = found.before.changed(change)
     warnings = _warnings(certainty, kept, dive_rows, independent=reads[0].config.reference.independent)
-    # The headings at the start that only positions tell, with the DVL as it is proposed.
+    # Headings at the start from positions, with the proposed DVL settings.
     starts = []
     for read in reads:
         known = read.dive.reference
@@ -422,19 +422,25 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
         parameter = SHARED[row]
         if row < CLOCK and row not in OF_DVL:
             continue
-        # First of all: at the edge what is left is no noise, and no sd right.
+        # Check this first: at the edge of the search range no sd is right.
         if row == CLOCK and abs(change[row]) > LATEST_CLOCK_S - parameter.step:
-            yield row, (Estimated.IMPLAUSIBLE, "at the edge of what is looked at: are the clocks the same?")
+            yield row, (Estimated.IMPLAUSIBLE, "at the edge of the search range. Check the clocks and stamps")
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == SCALE and abs(np.expm1(change[row])) > PLAUSIBLE_SCALE:
-            yield row, (Estimated.IMPLAUSIBLE, "no sound of speed is so wrong: is the reference's velocity in m/s?")
+            yield (
+                row,
+                (
+                    Estimated.IMPLAUSIBLE,
+                    "larger than any error of the speed of sound. Check the unit of the reference's velocity",
+                ),
+            )
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
-            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration: are axes and clocks the same?")
+            yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration. Check axes and clocks")
 
 
 def _dive_row(dive: ReferenceDive, fit: ReferenceFit) -> ReferenceDiveRow:
-    # Before is as configured, without what the innovations said.
+    # Before: as configured, without the result of the innovations.
     rms_before, track_before = replace(dive, change=NO_CHANGE).apart(np.zeros(COUNT))
     rms, track = dive.apart(fit.values[:COUNT])
     numbers = (track_before.scale_pct, track.scale_pct, track.scale_sd_pct)
@@ -448,14 +454,14 @@ def _warnings(
     certainty: Certainty, kept: Mask, dives: Sequence[ReferenceDiveRow], *, independent: bool
 ) -> Iterator[str]:
     if not independent:
-        yield "the reference is made from the same IMU or DVL (reference.independent = false), and repeats their errors"
+        yield "the reference uses the same IMU or DVL (reference.independent = false), so it shares their errors"
     for row in np.flatnonzero(kept & (np.nan_to_num(certainty.birge) > MANY_TIMES)).tolist():
         if row in OF_DVL or row >= CLOCK:
             yield (
-                f"beside the reference, dives differ in {SHARED[row].name} {certainty.birge[row]:.1f} times as much as "
-                "each is sure"
+                f"{SHARED[row].name} by the reference differs between the dives by {certainty.birge[row]:.1f} times "
+                "the expected scatter"
             )
     for dive in dives:
         left, sd = dive.track_scale_after_pct, dive.track_scale_sd_pct
         if kept[SCALE] and left is not None and sd is not None and abs(left) > PLAUSIBLE_SDS * sd:
-            yield f"{dive.dive}: by its track, the scale is still off by {left:+.2f} % (sd {sd:.2f} %)"
+            yield f"{dive.dive}: the track fit still has a scale error of {left:+.2f} % (sd {sd:.2f} %)"

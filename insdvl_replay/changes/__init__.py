@@ -1,1 +1,1 @@
-"""What moved between results, cell by cell (`cells`): over many dives (`comparison`), and against rules (`gates`)."""
+"""Changes between results, cell by cell (`cells`), over many dives (`comparison`), and checks by gates (`gates`)."""

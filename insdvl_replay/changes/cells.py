@@ -1,7 +1,7 @@
-"""Every cell of a dive's tables in two results, side by side, and whether it became better or worse.
+"""Compare the cells of a dive's tables in two results: better, worse or the same.
 
-A size is what is compared of a number: itself, its magnitude (*nearer zero*), or how many times it is off its degrees
-of freedom (*nearer dof*).
+The size of a number is compared: its value, its magnitude (*nearer zero*), or its ratio to its degrees of freedom
+(*nearer dof*).
 """
 
 import math
@@ -20,15 +20,15 @@ from insdvl_replay.show.document import FORMS, MISSING
 PRINTED_DIGITS: Final = 4
 PRINTED_PERCENT_UNIT: Final = 0.1
 ROUNDING: Final = 1e-9
-"""Share of a number that another processor, or binary fractions, may add: 0.3 - 0.2 is not more than 0.1."""
+"""Relative difference from rounding, by another processor or binary fractions: 0.3 - 0.2 is not more than 0.1."""
 NAMES: Final = frozenset(("log", "filter", "unit"))
-"""Columns that name a row, with its key."""
+"""Columns that identify a row, with its key."""
 SENTENCES: Final = frozenset((("filters", "sentence"),))
-"""Cells that say in words what others say in numbers."""
+"""Cells with text about numbers in other cells."""
 
 
 class Change(Struct, frozen=True):
-    """One cell of a table, before and after; None where a side lacks it, as the difference of words."""
+    """One cell of a table, before and after; None if a side does not have it, and for the change of text."""
 
     log: str
     table: str
@@ -44,19 +44,19 @@ class Change(Struct, frozen=True):
 
     @property
     def growth(self) -> str:
-        """By how much the size grew, with the unit; the word where there is no percentage."""
+        """The change of the size in percent or points; the verdict if there is no percentage."""
         if self.change_pct is None:
             return self.verdict
         return f"{FORMS['signed_percent'](self.change_pct)} {'points' if self.column.endswith(PERCENTAGE) else '%'}"
 
     @property
     def grown(self) -> str:
-        """The same of a number, nothing of words."""
+        """The same for a number; empty for text."""
         return MISSING if self.change is None else self.growth
 
 
 class Moved(NamedTuple):
-    """What became of a cell: new minus old, the change of the size in percent, the word, and what counts as better."""
+    """The change of a cell: new minus old, change of the size in percent, verdict, and which direction is better."""
 
     change: float | None
     change_pct: float | None
@@ -65,22 +65,22 @@ class Moved(NamedTuple):
 
 
 def agree(old: float, new: float, column: str) -> bool:
-    """Return whether two numbers are the same, but for a difference that says nothing."""
+    """Return whether two numbers are the same, up to rounding."""
     return old == new or abs(new - old) <= _rounding(old, new, column)
 
 
 def _rounding(old: float, new: float, column: str) -> float:
-    """Return the difference that says nothing; a percentage is of numbers that are 100 % or so."""
+    """Return the difference that rounding may cause; a percentage is rounded at about 100 %."""
     return ROUNDING * max(100.0 if column.endswith(PERCENTAGE) else 0.0, min(abs(old), abs(new)))
 
 
 def within(change: float, allowed: float, digits: float) -> bool:
-    """Return whether a change is no more than allowed, but for digits that say nothing."""
+    """Return whether a change is within the allowed one, up to rounding."""
     return change <= allowed * (1.0 + ROUNDING) + digits
 
 
-def prints_alike(old: float, new: float, column: str) -> bool:
-    """Return whether two sizes differ by no more than one unit of the last digit that is printed of the larger."""
+def prints_the_same(old: float, new: float, column: str) -> bool:
+    """Return whether two sizes differ by at most one unit of the last printed digit of the larger one."""
     largest = max(abs(old), abs(new))
     if math.isinf(largest) or largest == 0.0:
         return old == new
@@ -99,7 +99,9 @@ def judge_number(
     tolerance_pct: float | None = None,
     tolerance_abs: float | None = None,
 ) -> Moved:
-    """Judge what became of a number. Without a tolerance the same is what prints alike; of two the larger counts."""
+    """Return the change of a number. Without a tolerance, numbers that print the same are the same; the larger of two
+    tolerances counts.
+    """
     if old is None or new is None:
         word = ChangeVerdict.WORSE if new is None else ChangeVerdict.BETTER
         return Moved(None, None, ChangeVerdict.SAME if old is new else word, better)
@@ -112,20 +114,20 @@ def judge_number(
         change_pct, digits_pct = after - before, digits
     elif before != 0.0 and math.isfinite(before) and math.isfinite(after):
         change_pct = 100.0 * (after - before) / abs(before)
-    alike = before == after
+    is_same = before == after
     if tolerance_pct is None and tolerance_abs is None:
-        alike = prints_alike(before, after, column)
+        is_same = prints_the_same(before, after, column)
     if tolerance_pct is not None and change_pct is not None:
-        alike |= within(abs(change_pct), tolerance_pct, digits_pct)
+        is_same |= within(abs(change_pct), tolerance_pct, digits_pct)
     if tolerance_abs is not None:
-        alike |= within(abs(after - before), tolerance_abs, digits)
+        is_same |= within(abs(after - before), tolerance_abs, digits)
     is_better = (after > before) == (better == "higher")
-    word = ChangeVerdict.SAME if alike else ChangeVerdict.BETTER if is_better else ChangeVerdict.WORSE
+    word = ChangeVerdict.SAME if is_same else ChangeVerdict.BETTER if is_better else ChangeVerdict.WORSE
     return Moved(new - old, change_pct, word, better)
 
 
 def _size(value: float, better: Better, dof: float) -> float:
-    """Return what is compared of a number; of a mean NIS of zero it is infinite."""
+    """Return the size of a number; infinite for a mean NIS of zero."""
     if better == "nearer dof":
         ratio = value / dof
         return max(ratio, 1.0 / ratio) if ratio > 0.0 else math.inf
@@ -133,7 +135,7 @@ def _size(value: float, better: Better, dof: float) -> float:
 
 
 def rank_verdict(old: Cell, new: Cell, best_first: tuple[str, ...]) -> ChangeVerdict:
-    """State what became of a word: better or worse if both words have a rank, else whether it changed."""
+    """Return the change of a word: better or worse if both words have a rank, else changed or the same."""
     if old == new:
         return ChangeVerdict.SAME
     if old not in best_first or new not in best_first:
@@ -149,7 +151,7 @@ def judge_cell(
     tolerance_pct: float | None = None,
     tolerance_abs: float | None = None,
 ) -> Moved:
-    """Judge what became of a cell that both rows have, in its own direction."""
+    """Return the change of a cell that both rows have."""
     was, is_, better = old[column], new[column], layout.better.get(column)
     dofs = _dof(old), _dof(new)
     if layout.name == "evidence" and new.get("evidence") == CONSISTENT and column in ("baseline", "value"):
@@ -173,9 +175,9 @@ def _dof(row: Row) -> float:
 
 
 def named_rows(report: StoredReport, layout: TableLayout, place: object = "") -> dict[tuple[str, str, str], Row]:
-    """Return the rows of a table by filter, key and unit; a ResultError says that two have the same name.
+    """Return the rows of a table by filter, key and unit; a ResultError if two have the same name.
 
-    The candidates' block is a table, too: its rows are known by their filters.
+    The block of the candidates is also a table; its rows are named by filter.
     """
     found = report.tables.get(layout.name, [])
     if layout is CANDIDATES:
@@ -185,7 +187,9 @@ def named_rows(report: StoredReport, layout: TableLayout, place: object = "") ->
         name = str(row["filter"]), str(row[layout.key]), str(row.get("unit") or "")
         if name in rows:
             where = f"{place or report.log.name}: table {layout.name}, row {number}"
-            raise ResultError(f"{where}: is the second one of {name[0]}, {name[1]}", "replay the log again")
+            raise ResultError(
+                f"{where}: has the same names as an earlier row: {name[0]}, {name[1]}", "replay the log again"
+            )
         rows[name] = row
     return rows
 
@@ -195,7 +199,7 @@ def changes_of(
 ) -> Iterator[Change]:
     """Compare the tables of one dive, cell by cell.
 
-    What counts as better or worse is always listed; counts, limits and words without rank only where they changed.
+    Cells that can be better or worse are always listed. Counts, limits and words without rank are listed if changed.
     """
     for layout in layouts:
         befores, afters = (named_rows(side.report, layout, side.folder) for side in (old, new))

@@ -1,7 +1,6 @@
-"""Two sets of results side by side: which dives belong together, what differs, which values moved, and how it is shown.
+"""Compare two sets of results: match dives, find differences and changed values, and show them.
 
-`compare_results` gives a `Comparison`, `comparison_result` what is shown of it; `find_violation` holds it against a
-limit.
+`compare_results` returns a `Comparison`, `comparison_result` its tables and screen; `find_violation` applies a limit.
 """
 
 import json
@@ -39,37 +38,37 @@ from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.document import FORMS, MISSING, Column, counted, table_of
 
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
-"""What may differ beside the tables, in the order of what a reader asks first."""
-ALIKE: Final = "tool, settings and log do not differ"
-MOST_OTHERS: Final = 12  # so many values that moved beside the evidence are shown in brief
+"""What may differ outside the tables, in the order of interest."""
+SAME_INPUTS: Final = "tool, settings and log are the same"
+MOST_OTHERS: Final = 12  # most changed values outside the evidence on the brief screen
 _MOST_DIFFERENCES: Final = 8
 _NAMED_DIVES: Final = 2
 _HASH_DIGITS: Final = 12
 _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
-"""Columns that a reader looks at first, and words with a rank, which sum up numbers."""
+"""The main columns, and words with a rank, which summarise numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 _CHANGED_WORDS: Final = {
     "verdict": "{} is now {}, was {}",
     "prediction": "the predicted improvement of {} is now {}, was {}",
 }
-"""By column of the candidates what is said where its word changed."""
+"""The sentence for a changed word, by column of the candidates."""
 _OFF_ONE: Final = ("nis", "nees")
-"""Rows of the evidence that are better the nearer they are to 1, which their ratio is of."""
+"""Rows of the evidence that are better nearer to 1; their ratio is of the distance from 1."""
 _Pairs = Sequence[tuple[StoredResult, StoredResult]]
 
 
 class Difference(Struct, frozen=True):
-    """One thing that differs beside the tables: a reason why a number may have moved."""
+    """One difference outside the tables, which may explain a changed number."""
 
     block: str  # one of `BLOCKS`
     key: str  # dotted, as on the command line
-    old: str | None  # as in TOML; None where a side does not have it
+    old: str | None  # as in TOML; None if a side does not have it
     new: str | None
     logs: tuple[str, ...]  # the dives it concerns
 
 
 class Tally(Struct, frozen=True):
-    """What became of many cells: how many by word, and the largest loss and gain, primary columns first."""
+    """Number of cells by verdict, and the largest loss and gain, primary columns first."""
 
     counts: dict[ChangeVerdict, int]
     worst: Change | None
@@ -82,7 +81,7 @@ class Tally(Struct, frozen=True):
 
 
 class DiveComparison(Struct, frozen=True):
-    """One dive and its counterpart; a side that lacks it has no folder, and then there is no tally."""
+    """One dive and its counterpart; without a counterpart there is no folder on that side and no tally."""
 
     log: str
     old: str | None
@@ -92,7 +91,7 @@ class DiveComparison(Struct, frozen=True):
 
     @property
     def only_side(self) -> ChangeVerdict:
-        """What a dive without counterpart is."""
+        """Gone or new, for a dive without counterpart."""
         return ChangeVerdict.GONE if self.new is None else ChangeVerdict.NEW
 
 
@@ -111,12 +110,12 @@ class Aggregate(Struct, frozen=True):
     share_better_pct: float
     median_change_pct: Number  # None if no dive has one
     worst_log: str
-    worst_change_pct: Number  # None where the number was lost, or grew from zero
+    worst_change_pct: Number  # None if the number was lost, or grew from zero
     worst_word: ChangeVerdict
 
 
 class Comparison(Struct, frozen=True):
-    """Two sets of results, and all that differs; a tolerance of None is the last printed digit."""
+    """Two sets of results and their differences; a tolerance of None is the last printed digit."""
 
     old: str
     new: str
@@ -137,7 +136,7 @@ class Comparison(Struct, frozen=True):
 
 
 class Selection(NamedTuple):
-    """What of two sets of results is compared, and how closely; empty for all."""
+    """The part of two sets of results that is compared, and the tolerance; empty for all."""
 
     tables: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
@@ -153,7 +152,7 @@ class Selection(NamedTuple):
 def compare_results(old: Path, new: Path, selection: Selection = Selection()) -> Comparison:
     """Compare two sets of results, each a report.json, a result folder or a folder of such at any depth.
 
-    ConfigError where both sides share no dive or no candidate, or a name in the selection is not known.
+    ConfigError if both sides share no dive or no candidate, or a name in the selection is not known.
     """
     for name in selection.tables:
         require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
@@ -169,7 +168,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     renamed = with_new_names([was for was, _, _ in both], selection.filter_pairs)
     pairs = [(was, is_) for was, (_, is_, _) in zip(renamed, both, strict=True)]
     notes = (*notes_before, *notes_after, *_notes_on_filters(pairs), *_notes_on_tables(pairs, layouts))
-    # A comparison of nothing must not pass.
+    # An empty comparison must not pass.
     rows = [
         row
         for pair in pairs
@@ -179,7 +178,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     ]
     if not rows:
         names = ", ".join(layout.name for layout in layouts)
-        raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see what there is")
+        raise ConfigError(f"there is no row to compare in {names}", "leave out --table to see all tables")
     for name in selection.columns:
         require_known("column", name, list(dict.fromkeys(column for row in rows for column in row)))
 
@@ -210,7 +209,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
     )
 
 
-# Results of one log in several folders are told apart by their place, then by their name.
+# Results of one log in several folders are matched by their place, then by their name.
 _KEYS: Final[tuple[tuple[MatchedBy, Callable[[StoredResult], Hashable]], ...]] = (
     (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.below)),
     (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.name)),
@@ -225,13 +224,13 @@ def match_dives(
 ) -> list[tuple[StoredResult | None, StoredResult | None, MatchedBy]]:
     """Match results of the same dive, by the hash of the log, else by name; those without counterpart come last.
 
-    Two single results are matched whatever they are: they were meant.
+    Two single results are always matched.
     """
     found, before, after = dict[int, tuple[StoredResult, MatchedBy]](), list(old), list(new)
     for how, key in _KEYS:
         alone = []
         for results in (before, after):
-            # A dive that was never a file has no hash.
+            # A dive that was not read from a file has no hash.
             known = [result for result in results if how != MatchedBy.HASH or result.report.log.sha256]
             times = Counter(map(key, known))
             alone.append({key(result): result for result in known if times[key(result)] == 1})
@@ -242,19 +241,19 @@ def match_dives(
         after = [result for result in after if id(result) not in found]
     if len(old) == len(new) == 1 and not found:
         return [(old[0], new[0], MatchedBy.CHOICE)]
-    # A dive that is left on both sides has several results, and nothing says which belong together.
+    # A dive that is left on both sides has several results, and the matching ones are not known.
     for result in after:
         digest = result.report.log.sha256
         if any(other.name == result.name or (digest and other.report.log.sha256 == digest) for other in before):
             folders = [str(other.folder) for other in (*before, *after) if other.name == result.name]
             raise ConfigError(
-                f"{result.name}: several results could belong together: {', '.join(folders)}",
-                "name the two folders that are to be compared",
+                f"{result.name}: several results could match: {', '.join(folders)}",
+                "name the two folders to compare",
             )
     if not found:
         old_names, new_names = ([result.name for result in results] for results in (old, new))
         raise ConfigError(
-            f"no dive of {listed(old_names)} is among {listed(new_names)}, by hash or by name",
+            f"no dive of the old results ({listed(old_names)}) is in the new ones ({listed(new_names)})",
             "name two folders that hold results of the same logs, or two single results",
         )
     return [
@@ -282,7 +281,7 @@ def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) ->
         require_known("filter", old, names)
         if new in names and new not in pairs:
             raise ConfigError(
-                f"--pair {old}={new}: the old results have a filter {new} too", f"add --pair {new}={new}_before"
+                f"--pair {old}={new}: the old results also have a filter {new}", f"add --pair {new}={new}_before"
             )
 
     def renamed(report: StoredReport) -> StoredReport:
@@ -305,20 +304,20 @@ def _notes_on_filters(pairs: _Pairs) -> Iterator[Note]:
     theirs, ours = (sorted(set[str]().union(*side)) for side in zip(*names, strict=True))
     if theirs and ours and not any(old & new for old, new in names):
         raise ConfigError(
-            f"no candidate of the old results ({', '.join(theirs)}) is among the new ones ({', '.join(ours)})",
-            f"say which belong together with --pair {theirs[0]}={ours[0]}",
+            f"no candidate of the old results ({', '.join(theirs)}) is in the new ones ({', '.join(ours)})",
+            f"match them by name: --pair {theirs[0]}={ours[0]}",
         )
     gone = Counter(name for old, new in names for name in old - new)
     added = Counter(name for old, new in names for name in new - old)
     for side, word, counts in (("old", ChangeVerdict.GONE, gone), ("new", ChangeVerdict.NEW, added)):
         for name, count in sorted(counts.items()):
-            text = f"filter {name} is in the {side} results alone (dives: {count}); its rows are {word}"
-            hint = "--pair OLD=NEW compares filters of different names"
+            text = f"filter {name} is only in the {side} results ({counted(count, 'dive')}); its rows are {word}"
+            hint = "--pair OLD=NEW compares filters with different names"
             yield Note("filter_on_one_side", text, count, Severity.WARNING, hint)
 
 
 def _notes_on_tables(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[Note]:
-    """Count the dives in which a table is on one side only, or of no known kind."""
+    """Note the tables that are on one side only, or unknown."""
     for layout in layouts:
         have = [tuple(bool(named_rows(side.report, layout, side.folder)) for side in pair) for pair in pairs]
         for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
@@ -328,12 +327,12 @@ def _notes_on_tables(pairs: _Pairs, layouts: Sequence[TableLayout]) -> Iterator[
                 yield Note("table_on_one_side", text, count, Severity.WARNING)
     unknown = Counter(table for pair in pairs for side in pair for table in {*side.report.tables} - _ORDER.keys())
     for table, count in unknown.items():
-        text = f"table {table}: this version does not know it, and leaves it out"
+        text = f"table {table}: unknown to this version, and ignored"
         yield Note("table_unknown", text, count, Severity.WARNING, "compare with the version that wrote it")
 
 
 def _differences(pairs: _Pairs) -> tuple[Difference, ...]:
-    """Name everything beside the tables that differs, once, with the dives that it concerns."""
+    """Return all differences outside the tables, each once with its dives."""
     logs: dict[tuple[str, str, str | None, str | None], list[str]] = {}
     for old, new in pairs:
         before, after = _facts(old.report), _facts(new.report)
@@ -346,7 +345,7 @@ def _differences(pairs: _Pairs) -> tuple[Difference, ...]:
 
 
 def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
-    """Return all that may differ as text, by block and key. Times of day and of computation always differ."""
+    """Return all facts outside the tables as text, by block and key, without times of day and of computation."""
     log = report.log
     channels = {
         f"channels {channel.get('topic')}": (
@@ -375,7 +374,7 @@ def _facts(report: StoredReport) -> dict[tuple[str, str], str]:
 
 
 def loss_of(change: Change) -> float:
-    """State how much a cell lost, in percent; infinite for a number that was lost."""
+    """Return the loss of a cell in percent; infinite for a number that was lost."""
     if change.verdict not in {ChangeVerdict.BETTER, ChangeVerdict.WORSE, ChangeVerdict.GONE}:
         return 0.0
     amount = math.inf if change.change_pct is None else abs(change.change_pct)
@@ -383,7 +382,7 @@ def loss_of(change: Change) -> float:
 
 
 def _most(changes: Iterable[Change], sign: float) -> Change | None:
-    """Name the largest loss, or gain, in the primary column of a table before all others; the first of equals."""
+    """Return the largest loss or gain; primary columns come before others, and the first of equals."""
     found = [change for change in changes if sign * loss_of(change) > 0.0]
     return max(
         found, key=lambda change: ((change.table, change.column) in _PRIMARY, sign * loss_of(change)), default=None
@@ -391,13 +390,13 @@ def _most(changes: Iterable[Change], sign: float) -> Change | None:
 
 
 def tally(changes: Sequence[Change]) -> Tally:
-    """Count cells by word, and name the largest loss and gain."""
+    """Count cells by verdict, with the largest loss and gain."""
     counts = Counter(change.verdict for change in changes)
     return Tally({word: counts[word] for word in ChangeVerdict}, _most(changes, 1.0), _most(changes, -1.0))
 
 
 def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
-    """Gather the changes of each cell over the dives that have it on both sides: shares, median, and the worst."""
+    """Return each cell over the dives that have it on both sides: counts, median and worst change."""
     cells: dict[tuple[str, str, str, str, str], list[Change]] = {}
     for change in changes:
         if change.verdict in {ChangeVerdict.BETTER, ChangeVerdict.WORSE, ChangeVerdict.SAME}:
@@ -421,7 +420,7 @@ def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
 
 
 def only_changed(comparison: Comparison) -> Comparison:
-    """Leave out what is the same, and of the aggregates what is the same in all dives; counts stay those of all."""
+    """Drop unchanged cells, and aggregates that are the same in all dives; the counts stay."""
     return replace(
         comparison,
         changes=tuple(change for change in comparison.changes if change.verdict != ChangeVerdict.SAME),
@@ -438,9 +437,9 @@ def parse_percentage(text: str, option: str) -> float:
 
 
 def find_violation(comparison: Comparison, above_pct: float) -> str:
-    """State what is worse by more than allowed, in percent or percentage points, and what most; empty for nothing.
+    """Return a sentence on values that are worse by more than allowed, in percent or points; empty if there are none.
 
-    A verdict that fell, a number that was lost or grew from zero, and a row or dive that is gone exceed every limit.
+    A worse verdict, a number that was lost or grew from zero, and a missing row or dive exceed every limit.
     """
     changes = [change for change in comparison.changes if not within(loss_of(change), above_pct, 100.0 * ROUNDING)]
     reasons = []
@@ -457,7 +456,7 @@ def find_violation(comparison: Comparison, above_pct: float) -> str:
 
 
 def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
-    """Return a comparison with what is shown of it."""
+    """Return a comparison as tables and JSON, with its screen."""
     dives = [
         (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeVerdict))
         for dive in comparison.dives
@@ -479,7 +478,7 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
 
 
 def brief_document(comparison: Comparison) -> list[Part]:
-    """Lay out what changed: verdicts, what differs beside the tables, and the evidence that moved."""
+    """Return the brief screen: changed verdicts, differences outside the tables, and changed evidence."""
     moved = [change for change in comparison.changes if change.verdict != ChangeVerdict.SAME]
     tables = list(_evidence_that_moved(comparison))
     if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_OTHERS:
@@ -487,31 +486,31 @@ def brief_document(comparison: Comparison) -> list[Part]:
     apart = tuple(f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None)
     verdicts = _changed_verdicts(comparison)
     elsewhere = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
-    found = f"values that moved, by table: {', '.join(elsewhere)}" if elsewhere else "no value moved"
+    found = f"changed values by table: {', '.join(elsewhere)}" if elsewhere else "no value changed"
     same = counted(comparison.total.counts[ChangeVerdict.SAME], "value")
     return [
         Title(_title(comparison)),
         *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
-        _brief_differences(comparison.differences) if comparison.differences else ALIKE,
+        _brief_differences(comparison.differences) if comparison.differences else SAME_INPUTS,
         *(with_fields(table, title_apart=True) for table in tables),
         *([Sentences(apart)] if apart else []),
-        Sentences((f"{found}; {same} the same; --all shows them, --table NAME some",)),
+        Sentences((f"{found}; {same} the same. All values: --all. One table: --table NAME",)),
     ]
 
 
 def comparison_document(comparison: Comparison) -> list[Part]:
-    """Lay out all of a comparison."""
+    """Return the full screen of a comparison."""
     dives, several = comparison.dives, len(comparison.matched) > 1
     tables = [_differences_table(comparison)] if comparison.differences else []
     if len(dives) > 1:
-        # The dives in which something moved; the others are counted.
+        # The dives with changes; the others are counted.
         moved = [dive for dive in dives if dive.tally is None or dive.tally.moved]
         still = len(dives) - len(moved)
-        footnote = f"and {counted(still, 'dive')} in which nothing moved" if still else ""
+        footnote = f"and {counted(still, 'dive')} without change" if still else ""
         tables.append(_tallies("Dives", "dive", [(dive.log, dive.tally, dive.only_side) for dive in moved], footnote))
     tables.append(_tallies("Tables", "table", [(name, counts, "") for name, counts in comparison.by_table.items()]))
     tables.append(_values_over_dives(comparison.aggregates) if several else _values(comparison.changes))
-    rest = "the values of one dive: --dive NAME; those of all: --format csv or --format json"
+    rest = "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
     return [
         Title(_title(comparison)),
         *map(Callout, opening_lines(comparison)),
@@ -521,7 +520,7 @@ def comparison_document(comparison: Comparison) -> list[Part]:
 
 
 def opening_lines(comparison: Comparison) -> list[str]:
-    """State which verdicts changed, how many values moved, and which of them most."""
+    """Return the changed verdicts, the number of changed values, and the largest changes."""
     counts = comparison.total.counts
     words = ", ".join(f"{counts[word]} {word}" for word in ChangeVerdict if counts[word] and word != ChangeVerdict.SAME)
     limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
@@ -529,14 +528,14 @@ def opening_lines(comparison: Comparison) -> list[str]:
     extremes = (("worst", comparison.total.worst), ("best", comparison.total.best))
     return [
         *_changed_verdicts(comparison),
-        f"{words or 'nothing moved'}; {same}",
+        f"{words or 'no value changed'}; {same}",
         *(f"{name}: {described(change)}" for name, change in extremes if change is not None),
-        *([] if comparison.differences else [ALIKE]),
+        *([] if comparison.differences else [SAME_INPUTS]),
     ]
 
 
 def described(change: Change) -> str:
-    """State in one line where a cell is and how it moved."""
+    """Return the place and the change of a cell in one line."""
     old, new = FORMS["cell"](change.old), FORMS["cell"](change.new)
     unit = f" {change.unit}" if change.unit else ""
     return f"{change.log}, {change.table}: {_named(change)} from {old} to {new}{unit} ({change.growth})"
@@ -553,7 +552,7 @@ def _title(comparison: Comparison) -> str:
 
 
 def _changed_verdicts(comparison: Comparison) -> list[str]:
-    """State which judgements and beliefs changed, the judgements first, each once with its dives."""
+    """Return the changed verdicts, then the changed predictions, each once with its dives."""
     dives: dict[tuple[str, str, str, str], list[str]] = {}
     for change in comparison.changes:
         is_word = change.table == CANDIDATES.name and change.column in _CHANGED_WORDS
@@ -569,16 +568,16 @@ def _changed_verdicts(comparison: Comparison) -> list[str]:
 
 
 def _where(logs: Sequence[str], dives: int) -> str:
-    """State which dives it is: all, a few by name, or how many."""
+    """Return the dives: all, a few names, or a count."""
     return "all" if len(logs) == dives else ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
 
 
 def _brief_differences(found: Sequence[Difference]) -> Sentences:
-    """State in a line each what differs beside the tables: first that logs do, then settings."""
+    """Return the differences outside the tables, one line each: first logs, then settings."""
     other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]
     names = sorted({name for item in other for name in item.logs}, key=natural_key)
-    whose = "the log is" if len(names) == 1 else f"the logs of {listed(names)} are"
-    lines = [f"{whose} another one (SHA-256): what moved may be the log's"] if names else []
+    whose = "the log differs" if len(names) == 1 else f"the logs of {listed(names)} differ"
+    lines = [f"{whose} (SHA-256). Changed values may come from the log"] if names else []
     rest = sorted((item for item in found if item not in other), key=lambda item: item.block != "config")
     for item in rest[:_MOST_DIFFERENCES]:
         texts = (MISSING if value is None else value for value in (item.old, item.new))
@@ -599,17 +598,17 @@ _OLD_AND_NEW: Final[tuple[Column, ...]] = (
 
 
 def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
-    """Lay out errors and times of the evidence that moved; of NIS and NEES how far they are from 1."""
+    """Return the table of changed evidence; for NIS and NEES the distance from 1."""
 
     def owner(cell: Change | Aggregate) -> str:
         return comparison.baseline if cell.column == "baseline" else cell.filter
 
     def name(cell: Change | Aggregate) -> str:
-        return f"{cell.row.upper()} off 1, times the baseline's" if cell.row in _OFF_ONE else label(cell.row)
+        return f"{cell.row.upper()} distance from 1" if cell.row in _OFF_ONE else label(cell.row)
 
     changed, several = only_changed(comparison), len(comparison.matched) > 1
     cells: tuple[Change | Aggregate, ...] = changed.aggregates if several else changed.changes
-    # The baseline's values are in the rows of each candidate: once is enough.
+    # The rows of every candidate repeat the baseline's values; show them once.
     rows: dict[tuple[str, str], Change | Aggregate] = {}
     for cell in cells:
         if cell.table == "evidence" and cell.column in ((RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")):
@@ -621,7 +620,7 @@ def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
         ("in", "l", "worst_log"),
     )
     columns: tuple[Column, ...] = over_dives if several else (("", "l", "unit"), *_OLD_AND_NEW)
-    title, spare = ("Evidence that moved, in dives", (7, 4, 6)) if several else ("Evidence that moved", (2, 3, 4))
+    title, spare = ("Changed evidence, number of dives", (7, 4, 6)) if several else ("Changed evidence", (2, 3, 4))
     if rows:
         columns = (("filter", "l", owner), ("evidence", "l", name), *columns)
         yield table_of(title, rows.values(), columns, spare=spare)
@@ -634,7 +633,7 @@ def _cell_name(cell: Change | Aggregate) -> str:
 
 
 def _values(changes: Sequence[Change]) -> DisplayTable:
-    footnote = "nearer zero, nearer dof: % of the magnitude, and of how many times a value is off its dof"
+    footnote = "% is of the magnitude; for NIS, of the ratio to its degrees of freedom"
     return table_of("Values, old and new", changes, (("value", "l", _cell_name), *_OLD_AND_NEW), footnote)
 
 
@@ -662,12 +661,12 @@ def _differences_table(comparison: Comparison) -> DisplayTable:
         ("new", "l", lambda item: text(item, item.new)),
         ("dives", "l", lambda item: _where(item.logs, dives)),
     ]
-    title = f"What differs beside the tables{' (in all dives)' if in_all and dives > 1 else ''}"
+    title = f"Differences outside the tables{' (in all dives)' if in_all and dives > 1 else ''}"
     return table_of(title, found, columns[:-1] if in_all else columns)
 
 
 def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]], footnote: str = "") -> DisplayTable:
-    """Show counts by word, those that occur, and the largest loss; of what has no tally, a word instead."""
+    """Return a table of counts by verdict with the largest loss; without a tally, a word instead."""
     words = [word for word in ChangeVerdict if any(found is not None and found.counts[word] for _, found, _ in named)]
     rows = []
     for name, found, otherwise in named:

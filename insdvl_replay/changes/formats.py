@@ -1,4 +1,4 @@
-"""What became of the gates: as text, Markdown for a merge request, JSON, JUnit XML, and annotations on GitHub."""
+"""The outcome of the gates as text, Markdown for a merge request, JSON, JUnit XML, and annotations on GitHub."""
 
 import re
 from collections import Counter
@@ -17,7 +17,7 @@ from insdvl_replay.core.words import GateStatus
 from insdvl_replay.show.document import MISSING, counted
 from insdvl_replay.show.render import render
 
-# By status: its word beside a gate, its word behind a count, and its element of JUnit XML.
+# By status: word before a gate, word after a count, element of JUnit XML.
 WORDS: Final[dict[GateStatus, tuple[str, str, str]]] = {
     GateStatus.UNUSABLE: ("NO RESULT", "without a result", "error"),
     GateStatus.FAILED: ("FAILED", "failed", "failure"),
@@ -27,8 +27,8 @@ WORDS: Final[dict[GateStatus, tuple[str, str, str]]] = {
 }
 _ERRORS: Final = (GateStatus.UNUSABLE, GateStatus.FAILED)
 _NOT_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-MOST_MOVED: Final = 30  # values that moved and are listed in the Markdown; of more the rest is counted
-MOST_ANNOTATIONS: Final = 10  # of a level that a step on GitHub shows; the last one counts what is beyond that
+MOST_MOVED: Final = 30  # changed values that the Markdown lists; the rest is counted
+MOST_ANNOTATIONS: Final = 10  # most annotations of a level on GitHub; the last one counts the rest
 
 
 class CheckReport(Struct, frozen=True):
@@ -37,7 +37,7 @@ class CheckReport(Struct, frozen=True):
     tool: Tool
     gates: Annotated[str, Meta(description="the gate file")]
     failed: int
-    unusable: Annotated[int, Meta(description="the dive could not be replayed, or its result not be read")]
+    unusable: Annotated[int, Meta(description="the dive could not be replayed, or its result could not be read")]
     warning: int
     off: int
     passed: int
@@ -45,7 +45,7 @@ class CheckReport(Struct, frozen=True):
 
 
 def in_format(found: CheckResult, format_: str) -> str:
-    """Write what became of the gates as text, md, json, junit or github."""
+    """Write the outcome of the gates as text, md, json, junit or github."""
     match format_:
         case "text":
             return check_text(found)
@@ -57,13 +57,13 @@ def in_format(found: CheckResult, format_: str) -> str:
 
 
 def check_result(found: CheckResult) -> Result:
-    """Return what became of the gates, with the gated values that moved against their baselines."""
+    """Return the outcome of the gates, with the gated values that differ from their baselines."""
     parts: list[Part] = [Title("Gates"), *_counts(found)[::-1]]
     for name, words in found.words.items():
         parts.append(f"{name}: {', '.join(f'{count} {word}' for word, count in words.items())}")
     if missed := _missed(found):
         rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
-        parts.append(DisplayTable("What did not pass", ("", "dive", "gate", "why"), "llll", rows))
+        parts.append(DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows))
     moved = []
     for item in found.outcomes:
         for cell in item.findings:
@@ -73,7 +73,7 @@ def check_result(found: CheckResult) -> Result:
                     (item.dive, _place(cell), was, f"{now}{unit}", _growth(cell), "" if cell.passed else "FAILED")
                 )
     if moved:
-        moved.sort(key=lambda row: not row[-1])  # those that did not pass first
+        moved.sort(key=lambda row: not row[-1])  # failures first
         more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
         header = ("dive", "value", "before", "after", "change", "")
         parts.append(DisplayTable("Before and after", header, "llrrrl", tuple(moved[:MOST_MOVED]), more))
@@ -84,7 +84,7 @@ def check_result(found: CheckResult) -> Result:
 
 
 def check_sentence(found: CheckResult) -> str:
-    """Count what became of the gates, in one sentence."""
+    """Return the counts of the gates' outcomes, in one sentence."""
     dives = len({item.dive for item in found.outcomes} - {EVERY_DIVE})
     gates = len({item.gate for item in found.outcomes})
     counts = ", ".join(f"{count} {word}" for status, (_, word, _) in WORDS.items() if (count := found.count(status)))
@@ -92,17 +92,17 @@ def check_sentence(found: CheckResult) -> str:
 
 
 def _counts(found: CheckResult) -> list[str]:
-    """Count the dives whose trajectory changed, where a gate holds one against its baseline, and then the gates."""
+    """Return the counts of changed trajectories, if gates compare them with a baseline, and of the gates."""
     held = [item for item in found.outcomes if item.is_trajectory]
     errors = {item.dive for item in held if item.status == GateStatus.UNUSABLE or not item.findings}
     changed = {item.dive for item in held if not all(finding.passed for finding in item.findings)} - errors
     unchanged = {item.dive for item in held} - errors - changed
-    told = f"trajectories: {len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
-    return [*([told] if held else []), check_sentence(found)]
+    sentence = f"trajectories: {len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
+    return [*([sentence] if held else []), check_sentence(found)]
 
 
 def check_text(found: CheckResult) -> str:
-    """State what did not pass, and then for each gate on how many dives it did."""
+    """Return the gates that did not pass, then the number of passed dives of each gate."""
     lines = list[str]()
     for item in _missed(found):
         lines += [f"{WORDS[item.status][0]}  {item.dive}: {item.gate}", *(f"    {reason}" for reason in item.reasons)]
@@ -116,10 +116,10 @@ def _missed(found: CheckResult) -> list[GateOutcome]:
 
 
 def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
-    """State for each gate on how many dives it was passed."""
+    """Yield the number of passed dives of each gate."""
     for name in dict.fromkeys(item.gate for item in found.outcomes):
         own = [item for item in found.outcomes if item.gate == name]
-        text = f"passed by {sum(item.status == GateStatus.PASSED for item in own)} of {counted(len(own), 'dive')}"
+        text = f"passed on {sum(item.status == GateStatus.PASSED for item in own)} of {counted(len(own), 'dive')}"
         if own[0].dive == EVERY_DIVE:
             text = f"{WORDS[own[0].status][0]}, all dives together"
         elif own[0].status == GateStatus.OFF:
@@ -153,12 +153,12 @@ def junit_xml(found: CheckResult) -> str:
 
 
 def _clean(text: str) -> str:
-    """Show control characters, which XML cannot hold, and leave out what else it cannot."""
+    """Escape control characters, and replace other characters that XML does not allow."""
     return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
 
 
 def github_annotations(found: CheckResult) -> str:
-    """Write a workflow command for each gate that a dive did not pass, which GitHub shows as an annotation.
+    """Write a workflow command for each failed gate; GitHub shows it as an annotation.
 
     Source: GitHub's "Workflow commands for GitHub Actions".
     """
@@ -178,14 +178,14 @@ def github_annotations(found: CheckResult) -> str:
             message = "\n".join(map(visible, item.reasons))
             lines.append(command(level, item.line, f"{item.dive}: {item.gate}", message))
         if hidden := len(missed) - len(listed):
-            lines.append(command(level, 0, "more", f"{hidden} more gates were not passed; the log lists them"))
+            lines.append(command(level, 0, "more", f"{hidden} more gates did not pass; the log lists them"))
     return "".join(f"{line}\n" for line in (*lines, check_sentence(found)))
 
 
 def baseline_text(
     changes: Sequence[tuple[str, Finding]],  # dive and cell
 ) -> str:
-    """State what a new baseline would change: each value that is new or moved, and how many are as before."""
+    """Return the changes of a new baseline: each new or changed value, and the number of unchanged ones."""
     moved, shown = 0, list[str]()
     for dive, cell in changes:
         was, now, unit = _values(cell)
@@ -194,13 +194,13 @@ def baseline_text(
             if not cell.passed:
                 shown.append(f"{dive}: trajectory of {cell.sentence.replace(': is not in the baseline', ' is new')}")
             continue
-        moved += len(set(_values(cell, 9)[:2])) > 1  # in the digits in which all processors agree
+        moved += len(set(_values(cell, 9)[:2])) > 1  # with the digits on which all processors agree
         if was != now:
             allowed = f", {cell.allowed} allowed" if cell.allowed else ""
-            change = f"goes from {was} to {now}{unit} ({_growth(cell)}{allowed})"
+            change = f"changed from {was} to {now}{unit} ({_growth(cell)}{allowed})"
             shown.append(f"{dive}: {_place(cell)} {f'is new: {now}{unit}' if cell.was is None else change}")
-    unseen = f"{moved - len(shown)} by less than four digits show, " if moved > len(shown) else ""
-    count = f"{counted(len(shown), 'value')} new or moved, {unseen}{len(changes) - moved} as before"
+    unseen = f"{moved - len(shown)} changed beyond four digits, " if moved > len(shown) else ""
+    count = f"{counted(len(shown), 'value')} new or changed, {unseen}{len(changes) - moved} unchanged"
     return "".join(f"{visible(line)}\n" for line in (*shown, count))
 
 
@@ -209,7 +209,7 @@ def _place(cell: Finding) -> str:
 
 
 def _values(cell: Finding, digits: int = 4) -> tuple[str, str, str]:
-    """Write the baseline's value and today's, and their unit, with a blank before it."""
+    """Return the baseline's value, the new value, and the unit with a leading blank."""
     was, now = (
         MISSING if value is None else f"{value:.{digits}g}" if isinstance(value, float) else str(value)
         for value in (cell.was, cell.value)

@@ -1,4 +1,4 @@
-"""The gate file: what must hold of a dive's tables and of its trajectory, read from TOML."""
+"""The gate file: conditions on a dive's tables and its trajectory, read from TOML."""
 
 import fnmatch
 import math
@@ -20,8 +20,8 @@ from insdvl_replay.core.words import GateLevel
 
 ANY: Final = "*"  # every table, filter or row
 LOG: Final = "{log}"  # in the path of a baseline, the dive's name
-POOLED: Final = "pooled"  # the table of what all dives say together, as in ``evidence.csv`` beside them
-TRAJECTORY: Final = "trajectory"  # is compared sample by sample
+POOLED: Final = "pooled"  # the table of the evidence pooled over all dives, as in the ``evidence.csv`` of several dives
+TRAJECTORY: Final = "trajectory"  # compared sample by sample
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
 ON_TRAJECTORY: Final = 'baseline = "baselines/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
 LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
@@ -32,40 +32,40 @@ Share = Annotated[float, Meta(ge=0, le=100)]
 class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """One condition on one column of a table, or on the trajectory."""
 
-    name: str  # for people; no two gates share it
+    name: str  # unique
     table: str  # as in ``report.json``, or ``filters``
     filter: str = ANY
     row: str = ANY  # a state, quantity or measurement
     column: str = ""
-    min: float | None = None  # may be reached, as may the maximum
+    min: float | None = None  # inclusive, as the maximum
     max: float | None = None
-    equals: str | int | float | tuple[str | int | float, ...] | None = None  # the value, or those that it may have
-    baseline: str | None = None  # a stored result, seen from the gate file; ``{log}`` stands for the dive's name
-    # By how much a value may be worse than the baseline's: in percent of it, or in percentage points where the value is
-    # a percentage itself; and in the unit of the value. Of two allowances the larger one counts.
+    equals: str | int | float | tuple[str | int | float, ...] | None = None  # the allowed value or values
+    baseline: str | None = None  # a stored result, relative to the gate file; ``{log}`` is the dive's name
+    # Allowed loss against the baseline: in percent, or in percentage points if the value is a percentage; and in the
+    # unit of the value. The larger of the two counts.
     max_worse_pct: Allowance | None = None
     max_worse_abs: Allowance | None = None
-    # By how much samples of a trajectory may differ: by column in its unit; as a share of the largest of its group.
+    # Allowed difference of trajectory samples: by column in its unit; relative to the largest value of its group.
     max_abs: dict[str, Allowance] = {}
     max_rel: Allowance | None = None
-    # The band in which a quantity of the trajectory, the row, is to stay: for which share of the samples, for how long
-    # it may be outside, at which time alone; else all samples.
+    # Allowed band for a quantity (row) of the trajectory: for a share of the samples, with a longest time outside, or
+    # at one time; else for all samples.
     within: tuple[float, float] | None = None
     share_pct: Share | None = None
     longest_outside_s: Allowance | None = None
     at_s: Allowance | None = None
-    dives: tuple[str, ...] = ()  # patterns of the names of the dives that are meant; empty for all
-    share_of_dives_pct: Share | None = None  # the gate holds if so many of the dives that are meant pass it
+    dives: tuple[str, ...] = ()  # name patterns of the dives to check; empty for all
+    share_of_dives_pct: Share | None = None  # the gate passes if this share of the dives passes it
     level: GateLevel = GateLevel.ERROR
 
     @property
     def wanted(self) -> tuple[str | int | float, ...]:
-        """The values that it may have."""
+        """The allowed values."""
         return self.equals if isinstance(self.equals, tuple) else () if self.equals is None else (self.equals,)
 
 
 class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A file of gates; its paths are seen from its folder."""
+    """A file of gates; its paths are relative to its folder."""
 
     dives: tuple[str, ...] = ()  # logs, bags, folders, patterns, lists or results
     config: str | None = None  # settings of the replays
@@ -80,7 +80,7 @@ class Gates:
 
     path: Path
     content: GateFile
-    lines: dict[str, int]  # by its name where a gate begins
+    lines: dict[str, int]  # first line of a gate, by name
 
     def where(self, gate: Gate) -> str:
         """Name a gate and its place, for messages."""
@@ -91,7 +91,7 @@ class Gates:
 def load_gates(path: Path) -> Gates:
     """Read a gate file; ConfigError where a key, a value or a combination of them is wrong, or no gate is active."""
     if not is_writable(str(path)):
-        raise ConfigError(f"{path}: its name is not UTF-8, so no result could tell it", "rename it")
+        raise ConfigError(f"{path}: its name is not UTF-8", "rename it")
     source = read_toml(
         path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
     )
@@ -104,7 +104,7 @@ def load_gates(path: Path) -> Gates:
     names = [gate.name for gate in content.gate]
     for name, times in Counter(names).items():
         if times > 1:
-            raise ConfigError(f"two gates bear the name '{name}'", "give each a name of its own", source.name)
+            raise ConfigError(f"two gates have the name '{name}'", "give each gate its own name", source.name)
     if all(gate.level == GateLevel.OFF for gate in content.gate):
         raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error", source.name)
     lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
@@ -112,14 +112,14 @@ def load_gates(path: Path) -> Gates:
 
 
 def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
-    """Keep the gates whose names are like one of the patterns ``only``, and like none of ``skip``."""
+    """Keep the gates whose names match a pattern of ``only`` and none of ``skip``."""
     names = [gate.name for gate in gates.content.gate]
-    alike = {pattern: fnmatch.filter(names, pattern) for pattern in (*only, *skip)}
-    for pattern, found in alike.items():
+    matches = {pattern: fnmatch.filter(names, pattern) for pattern in (*only, *skip)}
+    for pattern, found in matches.items():
         if not found:
-            raise ConfigError(f"{gates.path}: no gate is called '{pattern}'", f"gates: {listed(names)}")
-    wanted = {name for pattern in only for name in alike[pattern]} if only else set(names)
-    wanted -= {name for pattern in skip for name in alike[pattern]}
+            raise ConfigError(f"{gates.path}: no gate has the name '{pattern}'", f"gates: {listed(names)}")
+    wanted = {name for pattern in only for name in matches[pattern]} if only else set(names)
+    wanted -= {name for pattern in skip for name in matches[pattern]}
     if not wanted:
         raise ConfigError(f"{gates.path}: no gate is left", "leave out --skip, or widen --only")
     kept = tuple(gate for gate in gates.content.gate if gate.name in wanted)
@@ -127,7 +127,7 @@ def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gate
 
 
 def _check_gate(gate: Gate) -> None:
-    """Refuse keys that do not go together: the first rule that is broken."""
+    """Raise for the first rule that is broken: keys that do not go together."""
     name, low, high, band = f"'{gate.name}'", gate.min, gate.max, gate.within
     limits = {key: getattr(gate, key) for key in ("min", "max", "max_worse_pct", "max_worse_abs")}
     endless = [f"{key} = {limit}" for key, limit in limits.items() if limit is not None and not math.isfinite(limit)]
@@ -140,25 +140,25 @@ def _check_gate(gate: Gate) -> None:
     is_crossed, on_trajectory = low is not None and high is not None and low > high, gate.table == TRAJECTORY
     example = f"{endless[0].split()[0]} = 40.0" if endless else ""
     rules: list[tuple[object, str, str]] = [
-        (endless, f"{' '.join(endless[:1])} is no limit", example),
-        (is_crossed, f"no value is at least {low or 0:g} and at most {high or 0:g}", "exchange min and max"),
+        (endless, f"{' '.join(endless[:1])} is not a limit", example),
+        (is_crossed, f"min = {low or 0:g} is above max = {high or 0:g}", "exchange min and max"),
     ]
     if on_trajectory:
-        with_column, beside = gate.column or not no_limits, band and (not no_baseline or gate.max_abs)
+        with_column, with_both = gate.column or not no_limits, band and (not no_baseline or gate.max_abs)
         rules += [
             (with_column, f"{name}: a trajectory has samples and no columns", ON_TRAJECTORY),
-            (beside, f"{name}: within stands beside a baseline", "make two gates of it"),
+            (with_both, f"{name}: within and baseline cannot be in one gate", "make two gates of it"),
             (not band and no_baseline, f"{name} has no condition", ON_TRAJECTORY),
         ]
     else:
         on_samples = f'{name}: {" ".join(foreign[:1])} is for table = "{TRAJECTORY}"'
-        together = f"{name}: baseline and max_worse_pct or max_worse_abs need each other"
+        together = f"{name}: baseline needs max_worse_pct or max_worse_abs, and these need baseline"
         hint = 'baseline = "baselines/{log}.json" with max_worse_pct = 5'
         rules += [
             (not gate.column, f"{name} names no column", EXAMPLE),
             (foreign, on_samples, "min, max, or max_worse_abs"),
-            (pooled_only, f"{name}: the pooled evidence is of all dives, without a baseline", "min, max or equals"),
-            (unknown, f"baseline: {' '.join(unknown[:1])} is not known", f"{LOG} stands for the dive's name"),
+            (pooled_only, f"{name}: the pooled evidence has no baseline and no single dives", "min, max or equals"),
+            (unknown, f"baseline: {' '.join(unknown[:1])} is not known", f"use {LOG} for the dive's name"),
             (no_limits and no_baseline, f"{name} has no condition", "add min, max, equals or baseline"),
             (no_baseline != no_allowance, together, hint),
         ]
@@ -168,16 +168,17 @@ def _check_gate(gate: Gate) -> None:
     if on_trajectory:
         require_known("row", gate.row, COLUMNS if band else [ANY, *GROUPS, *COLUMNS])
         if band and not band[0] <= band[1]:
-            raise ConfigError(f"{name}: within = {list(band)} holds no value", "exchange its ends")
+            raise ConfigError(f"{name}: within = {list(band)} contains no value", "exchange its ends")
         for column in gate.max_abs:
             require_known("max_abs", column, COLUMNS)
 
 
 def require_known_names(
     gates: Gates,
-    filters: Sequence[str] | None,  # that will be replayed, the baseline first; None: stored results may have others
+    filters: Sequence[str]
+    | None,  # of the replays, the baseline first; None for stored results, which may have other filters
 ) -> None:
-    """Raise a ConfigError, with line and nearest name, if a gate names what no result can have."""
+    """Raise a ConfigError, with line and nearest name, if a gate has a name that no result can have."""
     for gate in gates.content.gate:
         with error_context(gates.where(gate)):
             if gate.table == TRAJECTORY:
@@ -194,7 +195,7 @@ def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
     }
     require_known("column", gate.column, list(dict.fromkeys(name for names in columns.values() for name in names)))
     layouts = [layout for layout in named if gate.column in columns[layout.name]]
-    # Of candidates nobody knows the names yet where results are stored.
+    # The candidates of stored results are not known yet.
     if filters is not None or CANDIDATES not in layouts:
         rows = [row for layout in layouts for row in layout.rows or (filters or ())[1:]]
         kind = " or ".join(dict.fromkeys(layout.key for layout in layouts))
@@ -203,18 +204,18 @@ def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
         require_known("filter", gate.filter, [ANY, *filters])
         if gate.filter == filters[0] and not any(layout.baseline_too for layout in layouts):
             raise ConfigError(
-                f"filter '{filters[0]}' is the baseline, which has no rows of its own in {gate.table}",
-                f"name a candidate: {', '.join(filters[1:])}; its rows have columns of the baseline, too",
+                f"filter '{filters[0]}' is the baseline, which has no rows in {gate.table}",
+                f"name a candidate: {', '.join(filters[1:])}; its rows also have columns of the baseline",
             )
     # A condition that the column's kind can never meet
     for layout in layouts:
         words, column = layout.kinds[gate.column] == "text", f"column '{gate.column}' of {layout.name}"
         if words and not (gate.min is None and gate.max is None):
-            raise ConfigError(f"{column} holds words, which have no limits", "use equals")
+            raise ConfigError(f"{column} contains words, which have no limits", "use equals")
         if gate.wanted and not any(isinstance(value, str) == words for value in gate.wanted):
-            raise ConfigError(f"equals: {column} holds {'words' if words else 'numbers'}, found {gate.equals!r}")
+            raise ConfigError(f"equals: {column} contains {'words' if words else 'numbers'}, found {gate.equals!r}")
         if gate.baseline is not None and gate.column not in layout.better:
             raise ConfigError(
-                f"{column} is neither better nor worse, so no baseline can be kept to",
+                f"{column} has no better or worse direction, so it cannot have a baseline",
                 f"one of {', '.join(layout.better)}, or equals, min or max",
             )

@@ -1,7 +1,7 @@
-"""What became of each gate on each dive.
+"""Evaluate each gate on each dive.
 
-What is missing, empty or not a number never passes. Some gates hold a value, or the whole trajectory, against a stored
-baseline; the last part of this module makes baselines.
+A missing, empty or non-numeric value never passes. Some gates compare a value, or the whole trajectory, with a stored
+baseline. The last part of this module writes baselines.
 """
 
 import difflib
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.
     from insdvl_replay.results.trajectory import Trajectory
 
-EVERY_DIVE: Final = "*"  # in place of the name of a dive
-SAME: Final = 1e-9  # share of the largest value of a group in which samples may differ: processors round differently
-# Cells beside those that can be better or worse, and those of filters by themselves, that are of gain or loss.
+EVERY_DIVE: Final = "*"  # instead of the name of a dive
+SAME: Final = 1e-9  # relative difference of samples, over the largest value of a group, from rounding of processors
+# Further cells that state a gain or loss against the baseline.
 OF_GAIN: Final = frozenset(
     (
         ("filters", "prediction"),
@@ -43,38 +43,38 @@ OF_GAIN: Final = frozenset(
 
 
 class Finding(Struct, frozen=True):
-    """What one cell of a table has to do with a gate."""
+    """One cell of a table that a gate checks."""
 
     table: str
     filter: str
     row: str
     column: str
     was: Cell  # the baseline's value, if the gate has one
-    value: Cell  # None for what is missing
-    sentence: str  # what is, and what is wanted
+    value: Cell  # None if missing
+    sentence: str  # the value and the condition
     passed: bool
     unit: str = ""  # of the two values
-    allowed: str = ""  # by how much it may be worse than the baseline's
+    allowed: str = ""  # allowed loss against the baseline
 
 
 class GateOutcome(Struct, frozen=True):
-    """What became of one gate on one dive."""
+    """The outcome of one gate on one dive."""
 
     dive: str
     gate: str
     status: GateStatus
-    reasons: tuple[str, ...] = ()  # why it is not passed, one sentence each
+    reasons: tuple[str, ...] = ()  # why it did not pass, one sentence each
     findings: tuple[Finding, ...] = ()
-    line: int = 0  # where the gate is in its file; 0 if that is not known
-    is_trajectory: bool = False  # the gate holds the trajectory against its baseline
+    line: int = 0  # line of the gate in its file; 0 if unknown
+    is_trajectory: bool = False  # the gate compares the trajectory with its baseline
 
 
 class CheckResult(Struct, frozen=True):
-    """What became of all gates on all dives."""
+    """The outcomes of all gates on all dives."""
 
     gates: str  # the gate file
     outcomes: tuple[GateOutcome, ...]  # failures first, then in the order of dives and gates
-    words: dict[str, dict[str, int]] = {}  # by filter, on how many dives each word is said of it
+    words: dict[str, dict[str, int]] = {}  # by filter, number of dives with each verdict
 
     def count(self, status: GateStatus) -> int:
         """Count the outcomes of a status."""
@@ -82,7 +82,7 @@ class CheckResult(Struct, frozen=True):
 
 
 class Checked(NamedTuple):
-    """A dive's name, its result or why there is none, and the folder of the result."""
+    """A dive's name, its result or the error, and the folder of the result."""
 
     name: str
     result: StoredReport | Exception
@@ -93,22 +93,22 @@ class Checked(NamedTuple):
 
 
 def checked_replay(folder: Path, result: Report | Exception) -> Checked:
-    """Take what a replay gave, into a folder of the dive's name, as a dive to be judged."""
+    """Return a replayed dive to check."""
     if isinstance(result, Exception):
         return Checked(folder.name, result, folder)
     return Checked(folder.name, msgspec.json.decode(msgspec.json.encode(result), type=StoredReport), folder)
 
 
 def checked_results(folder: Path) -> Iterator[Checked]:
-    """Take stored results as dives to be judged; the name of the log becomes that of the baseline's file."""
+    """Yield stored results to check; the name of the log becomes part of the path of a baseline."""
     try:
         for result in read_results(folder)[0]:
             if is_dive_name(result.name):
                 yield Checked(result.name, result.report, result.folder)
                 continue
             error = ResultError(
-                f"{result.folder / COMPLETE}: log.name = {result.name[:LONGEST_NAME]!r} is no name of a dive",
-                "replay its log again, which names it after its file",
+                f"{result.folder / COMPLETE}: log.name = {result.name[:LONGEST_NAME]!r} is not a valid name of a dive",
+                "replay its log again; the dive gets the name of the file",
             )
             yield Checked(result.folder.name, error)
     except UserError as error:
@@ -116,7 +116,7 @@ def checked_results(folder: Path) -> Iterator[Checked]:
 
 
 def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
-    """Hold every dive against every gate that means it, and all together against those on the pooled evidence."""
+    """Evaluate every gate on the dives it applies to, and gates on the pooled evidence on all together."""
     outcomes = [
         _evaluated(gates, gate, dive)
         for dive in dives
@@ -128,9 +128,9 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
             outcomes.append(_evaluated(gates, gate, pooled_dive(dives)))
         share_pct, own = gate.share_of_dives_pct, [item for item in outcomes if item.gate == gate.name]
         passed = sum(item.status == GateStatus.PASSED for item in own)
-        # Failures on single dives are warnings where enough of the others passed.
+        # Failures on single dives are warnings if enough dives passed.
         if share_pct is not None and own and 100.0 * passed >= share_pct * len(own):
-            reason = f"passed by {passed} of {len(own)} dives, {share_pct:g} % are wanted"
+            reason = f"passed on {passed} of {len(own)} dives, required: {share_pct:g} %"
             outcomes = [
                 replace(item, status=GateStatus.WARNING, reasons=(*item.reasons, reason))
                 if item.gate == gate.name and item.status == GateStatus.FAILED
@@ -147,12 +147,12 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
 
 
 def is_meant(gate: Gate, dive: str) -> bool:
-    """Return whether a gate means a dive, by its name."""
+    """Return whether a gate applies to a dive, by its name."""
     return not gate.dives or any(fnmatch.fnmatchcase(dive, pattern) for pattern in gate.dives)
 
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
-    """Make a result of what all dives say together, as if it were one dive's."""
+    """Return the pooled evidence of all dives as one result."""
     from insdvl_replay.evaluation.verdicts import pooled_evidence
 
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
@@ -212,19 +212,19 @@ def _means(gate: Gate, name: tuple[str, str, str], row: Row) -> bool:
 
 
 def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
-    """Return a finding for each cell that a gate means, passed or not and why; one not passed if it means none."""
+    """Return a finding for each cell that a gate checks; one failed finding if it checks none."""
     findings, column = list[Finding](), gate.column
     for layout in _layouts(gate):
         rows, before = named_rows(report, layout), named_rows(baseline, layout) if baseline else {}
-        # A star in the gate means the rows that only the baseline has, too.
+        # A star in the gate also checks rows that only the baseline has.
         for name in dict.fromkeys((*rows, *before)):
             row, was = rows.get(name, {}), before.get(name, {})
             if not _means(gate, name, row or was):
                 continue
             old, value, unit = was.get(column), row.get(column), layout.unit_of(column, name[2])
             statement = f"{value_text(value)}{f' {unit}' if unit else ''}"
-            statement = f"is {statement}" if old is None else f"went from {value_text(old)} to {statement}"
-            complaint = f"is gone with its row, the baseline has {value_text(old)}"
+            statement = f"is {statement}" if old is None else f"changed from {value_text(old)} to {statement}"
+            complaint = f"is missing, and so is its row; the baseline has {value_text(old)}"
             if row:
                 is_evaluated = report.filters.get(name[0], {}).get("verdict") != Verdict.NOT_EVALUATED
                 complaints = _complaints(gate, layout, row, was, unit, statement, is_evaluated=is_evaluated)
@@ -234,14 +234,14 @@ def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | Non
             findings.append(Finding(layout.name, *name[:2], column, old, value, sentence, not complaint, *end))
     if findings:
         return tuple(findings)
-    # Name what the gate may have meant.
+    # Suggest a similar name.
     names, nearest = [name for layout in _layouts(gate) for name in named_rows(report, layout)], list[str]()
     for wanted, known in ((gate.filter, {name[0] for name in names}), (gate.row, {name[1] for name in names})):
         if wanted not in (ANY, *known):
             nearest = difflib.get_close_matches(wanted, sorted(known), n=1, cutoff=0.5)
     sentence = (
-        f"no row of {report.log.name} is meant by table {gate.table}, filter {gate.filter}, row {gate.row}, "
-        f"column {column}{''.join(f'; did you mean {near}?' for near in nearest)}"
+        f"{report.log.name} has no row for table {gate.table}, filter {gate.filter}, row {gate.row}, column {column}"
+        f"{''.join(f'; did you mean {near}?' for near in nearest)}"
     )
     return (Finding(gate.table, gate.filter, gate.row, column, None, None, sentence, passed=False),)
 
@@ -249,16 +249,17 @@ def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | Non
 def _complaints(
     gate: Gate, layout: TableLayout, row: Row, was: Row, unit: str, statement: str, *, is_evaluated: bool
 ) -> Iterator[str]:
-    """State why a cell does not pass; nothing if it does."""
+    """Yield the reasons why a cell does not pass."""
     column, value, old = gate.column, row.get(gate.column), was.get(gate.column)
-    # A cell of gain or loss fails where the filter is not evaluated; the verdict itself can pass.
-    is_beside = not layout.baseline_too or layout.name == "drift"
-    is_gain = (layout.name, column) in OF_GAIN or (is_beside and column in layout.better)
+    # A gain or loss fails if the filter is not evaluated; the verdict itself can pass.
+    is_relative = not layout.baseline_too or layout.name == "drift"
+    is_gain = (layout.name, column) in OF_GAIN or (is_relative and column in layout.better)
     if is_gain and not is_evaluated:
-        yield f"is {value_text(value)}, and the filter is {Verdict.NOT_EVALUATED}"
+        yield f"is {value_text(value)}, but the filter is {Verdict.NOT_EVALUATED}"
         return
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
-        yield f"is {value_text(value)}, and the reference does not cover the replay ({ReferenceStatus.PARTLY_COVERED})"
+        covered = f"the reference does not cover the whole replay ({ReferenceStatus.PARTLY_COVERED})"
+        yield f"is {value_text(value)}, but {covered}"
         return
     if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
@@ -268,31 +269,31 @@ def _complaints(
         is_close = any(_is_number(wanted) and isinstance(value, float) and agree(value, wanted, column)
                        for wanted in gate.wanted)  # fmt: skip
         if (value not in gate.wanted or isinstance(value, bool)) and not is_close:
-            yield f"is {value_text(value)}, {' or '.join(map(value_text, gate.wanted))} is wanted"
+            yield f"is {value_text(value)}, required: {' or '.join(map(value_text, gate.wanted))}"
     for name, sign, limit in (("least", 1.0, gate.min), ("most", -1.0, gate.max)):
         if limit is None:
             continue
         if not _is_number(value):
-            yield f"is the word {value!r}, a number is wanted"
+            yield f"is the word {value!r}, required: a number"
             break
         if not (sign * (value - limit) >= 0.0 or agree(value, limit, column)):
-            yield f"is {value_text(value)}{f' {unit}' if unit else ''}, at {name} {value_text(limit)} is wanted"
+            yield f"is {value_text(value)}{f' {unit}' if unit else ''}, required: at {name} {value_text(limit)}"
     if gate.baseline is None:
         return
     if not (_is_number(old) and _is_number(value)):
-        yield "has no number in the baseline to compare with"
+        yield "has no number in the baseline"
         return
     moved = judge_cell(was, row, column, layout, gate.max_worse_pct, gate.max_worse_abs)
     if moved.better is None:
-        yield "has no dof beside it, or none in the baseline, to compare by"
+        yield "cannot be compared: degrees of freedom (dof) are missing here or in the baseline"
     elif moved.verdict == ChangeVerdict.WORSE:
         pct = moved.change_pct
-        amount = "beyond any percentage" if pct is None else f"by {abs(pct):.3g} {_percent(column)}"
-        yield f"{statement}: worse {amount}, {_allowed(gate)} is allowed"
+        amount = "by more than any percentage" if pct is None else f"by {abs(pct):.3g} {_percent(column)}"
+        yield f"{statement}: worse {amount}, allowed: {_allowed(gate)}"
 
 
 def _is_number(value: Cell) -> TypeGuard[float | int]:
-    """Distinguish a number from a word, and from ``true`` and ``false``, which Python counts among them."""
+    """Return whether a value is a number; ``true`` and ``false`` are not."""
     return isinstance(value, float | int) and not isinstance(value, bool)
 
 
@@ -307,19 +308,19 @@ def _percent(column: str) -> str:
 
 
 def value_text(value: Cell) -> str:
-    """Write a value with enough digits to differ from its limit, words as they are."""
+    """Write a value with enough digits to differ from its limit; words are unchanged."""
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-# --- Gates on the trajectory: that nothing changed, sample by sample, and conditions over time.
+# --- Gates on the trajectory: no change, sample by sample, and conditions over time.
 
 
 def trajectory_findings(
     gate: Gate,
     new: "Trajectory | None",  # of the result; None if it has none
-    old: "Trajectory | None",  # the baseline's, for a gate that holds against it
+    old: "Trajectory | None",  # of the baseline, for a gate that compares with it
 ) -> tuple[Finding, ...]:
-    """Return a finding for each filter that a gate means; one not passed if it means none."""
+    """Return a finding for each filter that a gate checks; one failed finding if it checks none."""
     meant = [name for name in new.names if gate.filter in (ANY, name)] if new else []
     if new is None or not meant:
         missing = (
@@ -332,25 +333,25 @@ def trajectory_findings(
         findings.append(Finding(TRAJECTORY, name, row, "", None, None, f"{name}: {sentence}", passed))
     for name in old.names if old else ():
         if name not in new.names and gate.filter in (ANY, name):
-            sentence = f"{name}: is gone, the baseline has it"
+            sentence = f"{name}: is missing, the baseline has it"
             findings.append(Finding(TRAJECTORY, name, gate.row, "", None, None, sentence, passed=False))
     return tuple(findings)
 
 
 def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str) -> tuple[str, str, bool]:
-    """Find the first sample and quantity in which a filter differs from the baseline: row, sentence, passed or not."""
+    """Return the first quantity that differs from the baseline, a sentence, and whether it passed."""
     import numpy as np
 
     samples = len(new.time_s)
     if old is None or name not in old.names:
         return gate.row, "is not in the baseline", False
     if not np.array_equal(new.time_s, old.time_s):
-        return gate.row, f"{samples} samples, the baseline has {len(old.time_s)} at other times", False
+        return gate.row, f"has {samples} samples, the baseline has {len(old.time_s)} at other times", False
     before, after = (trajectory.values[trajectory.names.index(name)] for trajectory in (old, new))  # (k, columns)
     with np.errstate(invalid="ignore"):
         apart = np.abs(np.where(before == after, 0.0, after - before))
     apart = np.where(np.isin(COLUMNS, list(ANGLES)), np.minimum(apart, np.abs(360.0 - apart)), apart)
-    # What is missing on both sides is the same; on one side it differs by any measure.
+    # Missing on both sides is the same; missing on one side always differs.
     apart = np.nan_to_num(apart, nan=0.0, posinf=np.inf)
     apart[np.isnan(before) != np.isnan(after)] = np.inf
     allowed = dict.fromkeys(COLUMNS, math.inf)
@@ -360,7 +361,7 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str)
         allowed |= {name: gate.max_abs.get(name, usual) for name in columns if gate.row in (ANY, group, name)}
     differs = apart > np.array(list(allowed.values()))
     if not differs.any():
-        return gate.row, f"{samples} samples are as before", True
+        return gate.row, f"{samples} samples are unchanged", True
     first = int(np.argmax(differs.any(axis=1)))
     place, others = int(np.argmax(differs[first])), int(differs.any(axis=0).sum()) - 1
     sentence = (
@@ -372,7 +373,7 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str)
 
 
 def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, str, bool]:
-    """Hold a quantity in its band: for a share of the samples, never outside for long, or at one time."""
+    """Check a quantity against its band: share of the samples, longest time outside, or one time."""
     import numpy as np
 
     from insdvl_replay.core.dive_columns import find_runs
@@ -390,14 +391,14 @@ def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, st
         share_pct, longest_s = 100.0 * float(inside.mean()), gate.longest_outside_s
         wanted_pct = 100.0 if gate.share_pct is None and longest_s is None else gate.share_pct or 0.0
         if share_pct < wanted_pct:
-            complaints.append(f"{share_pct:.1f} % of {len(inside)} samples are, at least {wanted_pct:g} % are wanted")
-        # How long each stay outside lasts, a sample a second, and when it begins.
+            complaints.append(f"{share_pct:.1f} % of {len(inside)} samples, required: at least {wanted_pct:g} %")
+        # Length and start of each time outside; one sample a second.
         begins, ends = find_runs(~inside)
         stays = [(float(end - begin), -float(time_s[begin])) for begin, end in zip(begins, ends, strict=True)]
         length_s, begin_s = max(stays, default=(0.0, 0.0))
         if longest_s is not None and length_s > longest_s:
-            complaints.append(f"outside for {length_s:g} s from {-begin_s:g} s, {longest_s:g} s are allowed")
-        statement = f"{share_pct:.1f} % of {len(inside)} samples are, outside for {length_s:g} s at most"
+            complaints.append(f"outside for {length_s:g} s from {-begin_s:g} s, allowed: {longest_s:g} s")
+        statement = f"{share_pct:.1f} % of {len(inside)} samples, outside for {length_s:g} s at most"
     sentence = f"{gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
     return gate.row, sentence, not complaints
 
@@ -411,7 +412,7 @@ def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
 
 
 def _stored_baseline(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
-    """Read a baseline; None if there is none, or the file holds something else."""
+    """Read a baseline; None if there is none, or the file is something else."""
     if gate.table == TRAJECTORY:
         from insdvl_replay.results.trajectory import read_trajectory
 
@@ -423,22 +424,22 @@ def _stored_baseline(gate: Gate, path: Path) -> "StoredReport | Trajectory | Non
 
 
 def _baseline(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Trajectory":
-    """Return the baseline of a log; ConfigError says which command makes it."""
+    """Return the baseline of a log; the ConfigError names the command that writes it."""
     path, command = baseline_path(gates, gate, log.name), f"`insdvl-replay check {gates.path} --update`"
     with looked_for(path):
         if not path.is_file():
-            raise ConfigError(f"{path}: there is no baseline yet", f"{command} makes it")
+            raise ConfigError(f"{path}: there is no baseline yet", f"{command} writes it")
     baseline = _stored_baseline(gate, path)
     if baseline is None:
         kind = "trajectory" if gate.table == TRAJECTORY else "result"
-        raise ConfigError(f"{path}: is not a {kind} that can be read", f"{command} makes it anew")
+        raise ConfigError(f"{path}: is not a readable {kind}", f"{command} writes a new one")
     if (baseline.log.sha256 if isinstance(baseline, StoredReport) else baseline.sha256) != log.sha256:
-        raise ConfigError(f"{path}: the baseline is of another log than {log.name}", f"{command} makes it anew")
+        raise ConfigError(f"{path}: the baseline is of another log than {log.name}", f"{command} writes a new one")
     return baseline
 
 
 def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
-    """Compare the values of all gates with a baseline with those that it holds, if any: dive and cell."""
+    """Return dive and cell of every gate with a baseline, compared with the stored value, if any."""
     found = list[tuple[str, Finding]]()
     for gate, dive, result in _with_baseline(gates, dives):
         baseline = _stored_baseline(gate, baseline_path(gates, gate, dive.name))
@@ -447,21 +448,23 @@ def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple
 
             new = _trajectory(dive)
             assert new is not None
-            baseline = Trajectory(new.sha256, (), new.time_s, new.values[:0])  # one that has no filter yet
+            baseline = Trajectory(new.sha256, (), new.time_s, new.values[:0])  # an empty baseline
         found += [(dive.name, finding) for finding in _findings(gate, dive, result, baseline)]
     return found
 
 
 def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
-    """Make the gated values of today the baselines, and the trajectories; return the files."""
+    """Store the gated values and trajectories as baselines; return the files."""
     written: dict[Path, tuple[Checked, StoredReport, list[Gate]]] = {}
     for gate, dive, result in _with_baseline(gates, dives):
         path = baseline_path(gates, gate, dive.name)
         owner, _, sharing = written.setdefault(path, (dive, result, []))
         if owner is not dive:
-            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"write {LOG} for the dive's name")
+            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name")
         if sharing and (sharing[0].table == TRAJECTORY) != (gate.table == TRAJECTORY):
-            raise ConfigError(f"{gates.where(gate)}: a trajectory and tables share {path}", "give it a file of its own")
+            raise ConfigError(
+                f"{gates.where(gate)}: a trajectory and tables share {path}", "use a separate file for the trajectory"
+            )
         sharing.append(gate)
     for path, (dive, result, sharing) in written.items():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -483,7 +486,7 @@ def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gat
 
 
 def _gated_values(report: StoredReport, gates: Sequence[Gate]) -> dict[str, Any]:
-    """Return what names the gated values and what a comparison needs, so that what moves can be read in a review."""
+    """Return the gated values with their names and what a comparison needs, readable in a review."""
     tables: dict[str, dict[tuple[str, str, str], Row]] = {}
     for gate in gates:
         for layout in _layouts(gate):

@@ -1,4 +1,4 @@
-"""``insdvl-replay inspect``, ``calibrate`` and ``study``. What is heavy to import waits until there is work to do."""
+"""``insdvl-replay inspect``, ``calibrate`` and ``study``. Slow imports wait until there is work to do."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -24,30 +24,28 @@ if TYPE_CHECKING:
 
 def inspect(
     logs: opt.Logs,
-    deep: Annotated[
-        bool, typer.Option("--deep", help="Read the messages of all roles whole, not only the first of each.")
-    ] = False,
+    deep: Annotated[bool, typer.Option("--deep", help="Read all messages of each role, not only the first.")] = False,
     propose: Annotated[
         Path | None,
-        typer.Option("--propose", metavar="FILE", help="Write settings with which to run these dives; looks deep."),
+        typer.Option("--propose", metavar="FILE", help="Write settings for these dives; implies --deep."),
     ] = None,
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
     allow_damaged: Annotated[
-        bool, typer.Option("--allow-damaged", help="Damage is no obstacle; what is lost is said.")
+        bool, typer.Option("--allow-damaged", help="Do not count damage as a blocker; a note counts what is lost.")
     ] = False,
     one_dive: opt.OneDive = False,
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
 ) -> int:
-    """Say what is in a log, which topics a replay would use and why, and what would stop it.
+    """Print the contents of a log, the topics that a replay would use, and what would stop it.
 
-    For what it cannot assign it prints settings to start from. --propose writes a file of them that `run -c` takes,
-    with what trial runs show of noise, mounting and heading; what a person must decide stands in it. The exit code is 0
-    whether or not the log can be replayed, and 3 when a file cannot be read at all; this does not stop the others.
+    If a role has no topic, it prints settings to start from. --propose writes a settings file for `run -c`. Trial runs
+    find noise, mounting and heading; comments in the file mark what you must decide. The exit code is 0 whether or not
+    the log can be replayed, and 3 if a file cannot be read. Such a file does not stop the others.
 
     \b
     Example:
@@ -69,7 +67,7 @@ def inspect(
         require_replaceable_file(propose, force=force)
     given, code = load_config(preset, config, settings, allow_code=True), 0
     if given.code:
-        log_to_stderr(f"info: inspect runs no code of the settings; it leaves out {', '.join(given.code)}")
+        log_to_stderr(f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}")
     resolved = given.without_code()
     found = find_dives(logs)
     dives = [found] if one_dive else [[dive] for dive in found]
@@ -99,7 +97,7 @@ def inspect(
 def _propose(
     target: Path, dives: "Sequence[Sequence[Path]]", config: "Config", *, allow_damaged: bool, force: bool
 ) -> None:
-    """Write settings; what is left to a person is said on stderr too."""
+    """Write settings, and print on stderr what the user must decide."""
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.inspection.trial_runs import settings_file
@@ -109,14 +107,14 @@ def _propose(
         proposed = settings_file(dives, config, allow_damaged=allow_damaged)
     with result_file(target, force=force) as path:
         path.write_text(proposed.text, "utf-8")
-        load_config(file=path)  # what could not be read back is not put in place
+        load_config(file=path)  # checks that it can be read back
     log_to_stderr(f"wrote {target}")
     for failure in proposed.failures:
-        log_to_stderr(f"stops a replay with it: {failure.message}; {failure.hint}")
+        log_to_stderr(f"blocker: {failure.message}; hint: {failure.hint}")
     if proposed.decisions:
-        log_to_stderr(f"to decide in it: {', '.join(proposed.decisions)}")
+        log_to_stderr(f"to decide in {target}: {', '.join(proposed.decisions)}")
     if proposed.missing:
-        log_to_stderr(f"without a value in it: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
+        log_to_stderr(f"without a value in {target}: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
 
 
 # --- calibrate
@@ -125,10 +123,10 @@ def _propose(
 def calibrate(
     logs: opt.Logs,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write what is found as settings for -c.")
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the result as settings for -c.")
     ] = None,
     page_file: Annotated[
-        Path | None, typer.Option("--page", metavar="FILE", help="Write it with pictures as one HTML page.")
+        Path | None, typer.Option("--page", metavar="FILE", help="Write the result with pictures as one HTML page.")
     ] = None,
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
@@ -136,22 +134,22 @@ def calibrate(
     only: Annotated[
         str | None,
         typer.Option(
-            metavar="NAMES", help="Of arm, mounting, delay, scale and noise, with commas; left out, all of them."
+            metavar="NAMES", help="Some of arm, mounting, delay, scale and noise, separated by commas (default: all)."
         ),
     ] = None,
     reference: Annotated[
-        bool, typer.Option("--reference", help="Hold it against the dives' references, and calibrate these, too.")
+        bool, typer.Option("--reference", help="Compare with the dives' references, and calibrate these, too.")
     ] = False,
     delays: Annotated[
-        Literal["each", "one"], typer.Option("--delays", help="Whether each dive has a delay of its own.")
+        Literal["each", "one"], typer.Option("--delays", help="A delay for each dive, or one for all.")
     ] = "each",
     mounting: Annotated[
-        Literal["known", "unknown"], typer.Option("--mounting", help="If it is unknown, 24 are tried first.")
+        Literal["known", "unknown"], typer.Option("--mounting", help="If unknown, 24 mountings are tried first.")
     ] = "known",
     hold_out: Annotated[
         list[str],
         typer.Option(
-            "--hold-out", metavar="SHARE|DIVE", help="Dives to try it on that are not fitted: a share, or names."
+            "--hold-out", metavar="SHARE|DIVE", help="Test dives that are not used in the fit: a share, or names."
         ),
     ] = [],
     format_: opt.PrintedAs = "table",
@@ -162,11 +160,11 @@ def calibrate(
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
 ) -> int:
-    """Estimate where the DVL sits, how it is turned, how late and how long it reads, and how noisy the sensors are.
+    """Estimate lever arm, mounting, delay and scale of the DVL, and the noise of the sensors.
 
-    The dives' own innovations say it, without a reference, as far as the vehicle turned and changed its speed. What
-    they do not show stays as it is. Nothing is applied: -o writes settings that `run -c` reads. The exit code is 0 if
-    something was estimated, and 3 if nothing was or a log cannot be used.
+    The estimate uses the innovations of the dives and needs no reference. It needs turns and changes of speed.
+    Parameters that the dives cannot determine are left unchanged. Nothing is applied: -o writes settings for `run -c`.
+    The exit code is 0 if something was estimated, and 3 if nothing was or a log cannot be used.
 
     \b
     Example:
@@ -194,7 +192,7 @@ def calibrate(
     for name in groups:
         require_known("--only", name, known_groups)
     if not groups:
-        raise ConfigError("--only names nothing", f"of {', '.join(known_groups)}, with commas")
+        raise ConfigError("--only names nothing", f"choose from {', '.join(known_groups)}, separated by commas")
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
@@ -202,24 +200,24 @@ def calibrate(
         dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
             return failed
-        kept, held = _parted(dives, hold_out)
-        known, ways = Geometry.of(resolved.dvl), len(possible_axes(kept[0].dive.dvl))
+        kept, held = _divided(dives, hold_out)
+        known, mountings = Geometry.of(resolved.dvl), len(possible_axes(kept[0].dive.dvl))
         if mounting == "unknown":
             resolved = with_mounting(resolved, likeliest_mounting(kept))
             kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
         asked = [dive.innovations() for dive in kept]
         found = calibrated(asked, resolved, groups, one_delay=delays == "one")
         found = with_reference(found, kept, asked, groups) if reference else found
-        found = found.from_mounting(known, ways) if mounting == "unknown" else found
+        found = found.from_mounting(known, mountings) if mounting == "unknown" else found
         noise = found.noise if found.proposes_noise else None
-        others = [held_out_row(dive, found.change, noise) for dive in track_progress("trying it on other dives", held)]
+        others = [held_out_row(dive, found.change, noise) for dive in track_progress("testing on held-out dives", held)]
         found = replace(found, held_out=tuple(others))
     for read, prepared in zip(kept, (dive.prepared for dive in asked), strict=True):
         notes = (*read.dive.notes, *prepared.notes)
         log_notes([replace(note, text=f"{read.dive.name}: {note.text}") for note in notes], verbose=verbose > 0)
     settings_file = "" if output is None else str(output)
     write_stdout(written(calibration_result(found, resolved, settings_file), format_))
-    # Both files, or, if the work is interrupted, none.
+    # Both files, or none if the work is interrupted.
     is_found = bool(found.estimated) or found.proposes_noise
     contents: dict[Path, str] = {}
     if page_file is not None:
@@ -235,7 +233,7 @@ def calibrate(
     if not is_found:
         raise LogError(
             "nothing could be estimated from these dives",
-            "record turns at speed, changes of speed, rolling and pitching, and calibrate by those",
+            "record a dive with turns at speed, changes of speed, roll and pitch",
         )
     return failed
 
@@ -259,8 +257,8 @@ def _read(
     return dives, code
 
 
-def _parted(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDive"], list["ReadDive"]]:
-    """Set dives aside to try the result on: every so many of them, or those that are named."""
+def _divided(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDive"], list["ReadDive"]]:
+    """Return the dives to fit and the held-out dives: a share of all, evenly spread, or those that are named."""
     names = [read.dive.name for read in dives]
     aside: set[int] = set()
     for wanted in hold_out:
@@ -271,7 +269,7 @@ def _parted(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDiv
             aside.update(row for row, name in enumerate(names) if name == wanted)
             continue
         if not 0.0 < share < 1.0:
-            raise ConfigError(f"--hold-out {wanted}: a share lies between 0 and 1", "for example --hold-out 0.3")
+            raise ConfigError(f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3")
         count = max(1, round(share * len(names)))
         aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
     if len(aside) == len(names):
@@ -285,39 +283,41 @@ def _parted(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDiv
 # --- study
 
 study = typer.Typer(rich_markup_mode=None, no_args_is_help=True)
-Png = Annotated[bool, typer.Option("--png", help="Draw the pictures as PNG, too.")]
+Png = Annotated[bool, typer.Option("--png", help="Also draw the pictures as PNG.")]
 
 StudyOutput = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", help="Where the study gets a folder of its own.")
+    Path, typer.Option("-o", "--output", metavar="DIR", help="Output folder; each study gets a subfolder.")
 ]
 
 
 @study.callback()
 def about_studies() -> None:
-    """Ask more than one replay can answer; each study writes tables as CSV, and pictures."""
+    """Run a study over many runs or dives: Monte Carlo, acceleration window or observability. Writes CSV tables and
+    pictures.
+    """
 
 
 @study.command(cls=opt.PlainCommand)
 def montecarlo(
     scenario: opt.Scenario,
-    runs: Annotated[int, typer.Option(metavar="N", min=2, help="How many dives to simulate.")] = 100,
-    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Of all runs; each draws a seed of its own.")] = 1,
+    runs: Annotated[int, typer.Option(metavar="N", min=2, help="Number of simulated dives.")] = 100,
+    seed: Annotated[int, typer.Option(metavar="N", min=0, help="Random seed of the study.")] = 1,
     run: Annotated[
-        int | None, typer.Option(metavar="K", min=1, help="Repeat one run alone, counted from 1, and print it.")
+        int | None, typer.Option(metavar="K", min=1, help="Repeat only run K, counted from 1, and print it.")
     ] = None,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Seconds; left out, as long as the scenario is.")
+        float | None, typer.Option(metavar="S", help="Duration in s (default: that of the scenario).")
     ] = None,
     imu: Annotated[
         str,
         typer.Option(
             metavar="GRADE",
-            help="How the sensors err: matched (exactly as the first filter believes), fog, tactical or mems.",
+            help="Sensor errors: matched (as the first filter assumes), fog, tactical or mems.",
         ),
     ] = "matched",
     outage: opt.Outages = [],
     jobs: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Runs at the same time; left out, one for each core.")
+        int | None, typer.Option(metavar="N", min=1, help="Number of parallel runs (default: one per core).")
     ] = None,
     output: StudyOutput = Path("study"),
     png: Png = False,
@@ -329,11 +329,11 @@ def montecarlo(
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
 ) -> None:
-    """Simulate a dive many times and hold the filters' uncertainty against their true errors.
+    """Simulate a dive many times and compare the filters' uncertainty with their true errors.
 
-    Every run draws its own sensor errors and its own error of the start. Per filter and state: the sigma from P beside
-    the sigma and mean over the runs, NEES with its interval, and believed beside true improvement.
-    With outages of the DVL also NEES before, in and after each.
+    Every run draws its own sensor errors and start error. For each filter and state: sigma from P, sigma and mean over
+    the runs, NEES with its interval, and predicted and true improvement. With --outage also NEES before, in and after
+    each outage.
 
     \b
     Example:
@@ -366,7 +366,7 @@ def window(
     ] = 10,
     start: opt.Start = None,
     end: opt.End = None,
-    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time.")] = 1,
+    jobs: Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Number of dives in parallel.")] = 1,
     output: StudyOutput = Path("study"),
     png: Png = False,
     config: opt.ConfigFiles = [],
@@ -379,8 +379,8 @@ def window(
 ) -> int:
     """Find the number of past velocities that makes the best acceleration.
 
-    The slope of the DVL's velocities is held against the acceleration of the reference, at the middle of its window and
-    at its end, with the lever arm compensated and ignored. Several logs are pooled, with rows of their own beside.
+    The slope of the DVL's velocities is compared with the acceleration of the reference, at the middle and at the end
+    of the window, with the lever arm compensated and ignored. Several logs are pooled, and each also has its own rows.
     A log that cannot be used does not stop the others.
 
     \b
@@ -406,10 +406,12 @@ def window(
 
 @study.command(cls=opt.PlainCommand)
 def observability(
-    dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A recorded dive, or a scenario by its name.")],
+    dive: Annotated[str, typer.Argument(metavar="LOG|SCENARIO", help="A log, or the name of a scenario.")],
     start: opt.Start = None,
     end: opt.End = None,
-    no_earth_rate: Annotated[bool, typer.Option("--no-earth-rate", help="Let the Earth be flat and at rest.")] = False,
+    no_earth_rate: Annotated[
+        bool, typer.Option("--no-earth-rate", help="Assume a flat Earth that does not rotate.")
+    ] = False,
     output: StudyOutput = Path("study"),
     png: Png = False,
     config: opt.ConfigFiles = [],
@@ -420,10 +422,10 @@ def observability(
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
 ) -> None:
-    """Say which errors at the start of a dive its measurements can tell apart, and which they cannot.
+    """Find which errors at the start of a dive its measurements can observe, and which they cannot.
 
-    For velocities, accelerations in either model, and both together: rank, singular values, and the directions of error
-    that nothing shows, in words and numbers.
+    For velocities, accelerations in both models, and both together: rank, singular values, and the unobservable
+    directions with names and numbers.
 
     \b
     Example:
@@ -445,7 +447,7 @@ def observability(
 def _keep(
     work: Callable[[], "Result"], text: str, target: Path, format_: opt.Format, verbose: int, *, force: bool, png: bool
 ) -> "Result":
-    """Do a study, write its files, print it, and say what was lost and where the files are."""
+    """Run a study, write its files, and print the result, its notes and its folder."""
     from insdvl_replay.cli.screen import compiling, progress, written
     from insdvl_replay.results.folder import require_replaceable_folder, result_folder
     from insdvl_replay.show.paper import require_matplotlib

@@ -1,4 +1,4 @@
-"""The commands, gathered."""
+"""The typer application with all commands."""
 
 from typing import Annotated
 
@@ -12,7 +12,7 @@ from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.utilities import compile_, config, explain, figure, schema, simulate
 
-# Plain help: rich would add 0.1 s to it, and cut it where it is piped.
+# Plain help: rich would add 0.1 s and cut lines in a pipe.
 app = typer.Typer(
     rich_markup_mode=None, pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]}
 )
@@ -34,10 +34,10 @@ def insdvl_replay(
         bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Replay a dive through two navigation filters and say whether the change really helped.
+    """Replay a dive through navigation filters and measure whether a change really helped.
 
-    Exit codes: 0 done; 1 a limit is exceeded; 2 usage or configuration; 3 a log or a stored result cannot be used; 4 a
-    mistake of ours; 130 interrupted.
+    Exit codes: 0 done; 1 a limit is exceeded; 2 usage or configuration; 3 a log or a stored result cannot be used;
+    4 internal error; 130 interrupted.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``insdvl-replay compare`` and ``check``: what moved between results. What is heavy to import waits."""
+"""``insdvl-replay compare`` and ``check``: changes between results. Slow imports wait until they are needed."""
 
 from contextlib import closing
 from pathlib import Path
@@ -15,41 +15,41 @@ GATE_FAILED = 1
 
 def compare(
     old: Annotated[Path, typer.Argument(metavar="OLD", help="Result folder, report.json, or folder of results.")],
-    new: Annotated[Path, typer.Argument(metavar="NEW", help="The same after the change.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="The same kind of result, after the change.")],
     dives: Annotated[
-        list[str], typer.Option("--dive", metavar="NAME", help="Compare this dive alone. May be repeated.")
+        list[str], typer.Option("--dive", metavar="NAME", help="Compare only this dive. May be repeated.")
     ] = [],
     tables: Annotated[
-        list[str], typer.Option("--table", metavar="NAME", help="Compare this table alone. May be repeated.")
+        list[str], typer.Option("--table", metavar="NAME", help="Compare only this table. May be repeated.")
     ] = [],
     columns: Annotated[
-        list[str], typer.Option("--column", metavar="NAME", help="Compare this column alone. May be repeated.")
+        list[str], typer.Option("--column", metavar="NAME", help="Compare only this column. May be repeated.")
     ] = [],
     pairs: Annotated[
         list[str],
-        typer.Option("--pair", metavar="OLD=NEW", help="Compare filters of different names. May be repeated."),
+        typer.Option("--pair", metavar="OLD=NEW", help="Compare filters with different names. May be repeated."),
     ] = [],
     tolerance: Annotated[
         str | None,
-        typer.Option(metavar="P%", help="Up to here a change is none. Left out: up to the last printed digit."),
+        typer.Option(metavar="P%", help="Changes up to this count as the same (default: the last printed digit)."),
     ] = None,
     only_changed: Annotated[
-        bool, typer.Option("--only-changed", help="Show all values that moved, and not the evidence alone.")
+        bool, typer.Option("--only-changed", help="Show all values that changed, not only the evidence.")
     ] = False,
-    everything: Annotated[bool, typer.Option("--all", help="Show all values, also those that are the same.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Show all values, also unchanged ones.")] = False,
     fail_on: Annotated[
         str | None,
-        typer.Option(metavar="P%", help="Exit with 1 if a value is worse by more than this; 0% for by anything."),
+        typer.Option(metavar="P%", help="Exit with 1 if a value is worse by more than this; 0% allows nothing."),
     ] = None,
-    format_: Annotated[opt.PageFormat, typer.Option("--format", help="How it is printed.")] = "table",
+    format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     verbose: opt.Verbose = 0,
     quiet: opt.Quiet = False,
     color: opt.Colored = "auto",
 ) -> None:
-    """Compare stored results: what moved, by how much, and whether that is better.
+    """Compare stored results: which values changed, by how much, and whether they are better.
 
-    Verdicts that changed come first, then what differs in settings, tool and log, and the evidence that moved. Dives
-    are matched by the hash of their log, then by name. Rows that are gone and numbers that were lost count as worse.
+    Changed verdicts come first, then differences in settings, tool and log, then the evidence that changed. Dives are
+    matched by the hash of their log, then by name. Missing rows and missing numbers count as worse.
 
     \b
     Example:
@@ -81,45 +81,50 @@ def compare(
 
 
 def check(
-    gates: Annotated[Path, typer.Argument(metavar="GATES", help="What must hold, a TOML file.")],
+    gates: Annotated[Path, typer.Argument(metavar="GATES", help="TOML file with the gates.")],
     dives: Annotated[
         list[str],
         typer.Argument(
             metavar="[DIVE]...", help="Logs, bags, result folders, patterns, .txt lists; left out: those in GATES."
         ),
     ] = [],
-    update: Annotated[bool, typer.Option("--update", help="Show what moved, then make it the baseline.")] = False,
+    update: Annotated[
+        bool, typer.Option("--update", help="Show what changed, then store it as the new baseline.")
+    ] = False,
     results: Annotated[
-        Path, typer.Option("--results", metavar="DIR", help="Where each replayed dive gets a folder of its name.")
+        Path,
+        typer.Option(
+            "--results", metavar="DIR", help="Output folder; each replayed dive gets a subfolder with its name."
+        ),
     ] = Path("checked"),
     config: Annotated[
         list[Path],
         typer.Option(
-            "-c", "--config", metavar="FILE", help="Settings in place of those named in GATES. May be repeated."
+            "-c", "--config", metavar="FILE", help="Settings that replace those named in GATES. May be repeated."
         ),
     ] = [],
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
-    format_: Annotated[opt.CheckFormat, typer.Option("--format", help="How it is told.")] = "text",
+    format_: Annotated[opt.CheckFormat, typer.Option("--format", help="Output format.")] = "text",
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="FILE", help="Write it here, and text to stdout.")
+        Path | None, typer.Option("--output", metavar="FILE", help="Write the output to this file, and text to stdout.")
     ] = None,
     summary: Annotated[
-        Path | None, typer.Option("--summary-file", metavar="FILE", help="Add it here, too, as Markdown.")
+        Path | None, typer.Option("--summary-file", metavar="FILE", help="Append the output to this file as Markdown.")
     ] = None,
     only: Annotated[
-        list[str], typer.Option("--only", metavar="GATE", help="Gates of this name or pattern alone. May be repeated.")
+        list[str], typer.Option("--only", metavar="GATE", help="Only gates with this name or pattern. May be repeated.")
     ] = [],
     skip: Annotated[
-        list[str], typer.Option("--skip", metavar="GATE", help="No gates of this name or pattern. May be repeated.")
+        list[str], typer.Option("--skip", metavar="GATE", help="Skip gates with this name or pattern. May be repeated.")
     ] = [],
     shard: Annotated[
-        str, typer.Option("--shard", metavar="I/N", help="Every N-th dive from the I-th: a part of the archive.")
+        str, typer.Option("--shard", metavar="I/N", help="Every N-th dive, starting at the I-th.")
     ] = "1/1",
     histories: Annotated[
-        bool, typer.Option("--keep-histories", help="Write replay.mcap, the largest file of a result, too.")
+        bool, typer.Option("--keep-histories", help="Also write replay.mcap, the largest file of a result.")
     ] = False,
     jobs: opt.Jobs = 1,
     scheduler: opt.Scheduler = None,
@@ -127,11 +132,11 @@ def check(
     verbose: opt.Verbose = 0,
     quiet: opt.Quiet = False,
 ) -> int:
-    """Hold dives against gates, for a job that runs every night.
+    """Check dives against gates, for example in a nightly job.
 
-    Logs are replayed first, but for those whose log, settings, versions and code are those of the result that lies
-    there; result folders are taken as they are. All gates of all dives are judged. What is missing or empty never
-    passes. The exit code is 0 if no gate of level error failed, 1 if one did, 3 if a dive cannot be used.
+    Logs are replayed first, if the log, the settings, the versions or the code have changed since the last result.
+    Result folders are used as they are. Every gate is evaluated on every dive. A missing or empty value never passes.
+    The exit code is 0 if no gate of level error failed, 1 if one did, 3 if a dive cannot be used.
 
     \b
     Example:
@@ -150,7 +155,7 @@ def check(
     from insdvl_replay.core.words import GateStatus
     from insdvl_replay.results.folder import COMPLETE, require_replaceable_file, result_file
 
-    # What is asked for
+    # Arguments
     part, slash, parts = shard.partition("/")
     if not (slash and part.isdecimal() and parts.isdecimal() and 1 <= int(part) <= int(parts)):
         raise ConfigError(f"--shard {shard}: is not a part such as 1/4", "--shard 1/4, --shard 2/4 and so on")
@@ -158,20 +163,20 @@ def check(
     content = chosen.content
     if not (dives or content.dives):
         raise ConfigError(f"{gates}: names no dives", f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]')
-    names, beside = (dives, Path()) if dives else (content.dives, gates.parent)
-    paths = find_dives(names, beside, results=True)[int(part) - 1 :: int(parts)]
+    names, folder = (dives, Path()) if dives else (content.dives, gates.parent)
+    paths = find_dives(names, folder, results=True)[int(part) - 1 :: int(parts)]
     for option, file in (("--output", output), ("--summary-file", summary)):
         if file is not None:
             with error_context(option):
                 require_replaceable_file(file, force=True)
                 if file.resolve() in {read.resolve() for read in (gates, *paths)}:
-                    raise ConfigError(f"{file}: is what is checked", "give it another name")
+                    raise ConfigError(f"{file}: is an input of this check", "give it another name")
     if not config and content.config is not None:
         named = gates.parent / content.config
         with looked_for(named):
             if not named.is_file():
-                text = f"{gates}: config names {named}, which is no file"
-                raise ConfigError(text, "paths are seen from the gate file")
+                text = f"{gates}: config names {named}, which is not a file"
+                raise ConfigError(text, "paths are relative to the gate file")
         config = [named]
     options = ReplayOptions(
         load_config(preset or content.preset, config, settings, allow_code=allow_code),
@@ -181,7 +186,7 @@ def check(
     logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
     require_known_names(chosen, list(options.config.filters) if len(logs) == len(paths) else None)
 
-    # Replays, stored results, and what the gates say of them
+    # Replays, stored results and gates
     checked: list[gating.Checked] = []
     with closing(outcomes(plan_jobs(logs, results, options), jobs, scheduler, force=True, rerun=rerun)) as replays:
         for path in paths:
@@ -210,7 +215,7 @@ def check(
         write_stdout(formats.check_text(found))
     if summary is not None:
         try:
-            with summary.open("a", encoding="utf-8") as stream:  # other steps of a job write to it, too
+            with summary.open("a", encoding="utf-8") as stream:  # other steps of a job also write to it
                 stream.write(formats.in_format(found, "md"))
         except OSError as error:
             hint = "check the path of --summary-file"

@@ -1,4 +1,4 @@
-"""What the tool prints: results to stdout, everything else to stderr; and what an error is told as."""
+"""Print results to stdout, everything else to stderr, and turn errors into messages."""
 
 import os
 import re
@@ -15,23 +15,23 @@ from insdvl_replay.core.errors import LogError, Note, UserError, nearest, visibl
 INTERNAL_ERROR = 4
 USAGE = 2
 
-# typer exports no UsageError, and keeps click inside itself since 0.20: this finds the class wherever it lives.
+# typer exports no UsageError, and includes click since 0.20. This finds the class in both cases.
 UsageError = typer.BadParameter.__mro__[1]
-_IN_OUR_WORDS: Final = (
+_PLAIN_WORDS: Final = (
     (r"Usage: .*", "missing command"),
     (r": Value error, ", ": "),
-    (r"Input should be greater than or equal to", "has to be at least"),
-    (r"Input should be less than or equal to", "has to be at most"),
-    (r"Input should be greater than", "has to be above"),
-    (r"Input should be less than", "has to be below"),
+    (r"Input should be greater than or equal to", "must be at least"),
+    (r"Input should be less than or equal to", "must be at most"),
+    (r"Input should be greater than", "must be above"),
+    (r"Input should be less than", "must be below"),
     (r"Input should be a valid integer.*", "needs a whole number"),
     (r"Input should be a valid number.*", "needs a number"),
 )
-"""Parts of sentences of typer and of what it checks values by, which changed from version to version."""
+"""Phrases of typer and its value checks, with plain ones. They differ between versions."""
 
 
 def write_stdout(text: str, *, commands: bool = False) -> None:
-    """Write a result to stdout. Where the reader went away (``| head``) the work goes on in silence."""
+    """Write a result to stdout. If the reader has closed the pipe (``| head``), the work continues silently."""
     try:
         sys.stdout.write(text if commands else without_commands(text))
         sys.stdout.flush()
@@ -41,7 +41,7 @@ def write_stdout(text: str, *, commands: bool = False) -> None:
 
 def log_to_stderr(text: str) -> None:
     """Report something that is not a result, on one line."""
-    with suppress(OSError):  # nobody is left to report to
+    with suppress(OSError):  # stderr is closed
         print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
@@ -53,7 +53,7 @@ def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
 
 
 def log_failure(error: Exception, verbosity: int) -> int:
-    """Report what went wrong, in one sentence and a hint, and with ``-vv`` where in the code it arose."""
+    """Print an error with its hint, with ``-vv`` also the traceback; return the exit code."""
     if verbosity >= 2:
         trace = "".join(traceback.format_exception(error))
         with suppress(OSError):
@@ -64,7 +64,7 @@ def log_failure(error: Exception, verbosity: int) -> int:
 
 
 def _hinted(hint: str) -> str:
-    """Put the hint on the sentence's own line, since scripts take the last line of stderr for the reason."""
+    """Return the hint for the same line: scripts read the reason from the last line of stderr."""
     return f"; hint: {hint}" if hint else ""
 
 
@@ -82,30 +82,30 @@ def _explained(error: Exception) -> tuple[int, str, str]:
         return USAGE, *_explained_usage(error)
     if isinstance(error, OSError):
         found = f"{error.filename or 'stdout'}: cannot be read or written: {error.strerror or error}"
-        return USAGE, found, "check the path, its permissions, and the room on its disk"
+        return USAGE, found, "check the path, its permissions and the free disk space"
     if isinstance(error, MemoryError):
         found = f"there is not enough memory{f': {error}' if str(error) else ''}"
-        return LogError.exit_code, found, "run it where a process may have more; `ulimit -v` shows a limit"
+        return LogError.exit_code, found, "use a machine with more memory; `ulimit -v` shows a limit of this shell"
     return (
         INTERNAL_ERROR,
-        f"this is a mistake in insdvl-replay: {type(error).__name__}: {error}",
-        "run it again with -vv and report what it prints, with the output of `insdvl-replay --version`",
+        f"internal error: {type(error).__name__}: {error}",
+        "run it again with -vv and report the output, with that of `insdvl-replay --version`",
     )
 
 
 def _explained_usage(error: Any) -> tuple[str, str]:
-    """Bring the parser's errors into the form of all others."""
-    told = " ".join(str(error.format_message()).split())
-    for pattern, words in _IN_OUR_WORDS:
-        told = re.sub(pattern, words, told)
+    """Return the message and the hint of an error of the parser."""
+    text = " ".join(str(error.format_message()).split())
+    for pattern, words in _PLAIN_WORDS:
+        text = re.sub(pattern, words, text)
     context = getattr(error, "ctx", None)
-    hint = f"`{context.command_path if context else 'insdvl-replay'} --help` shows what it takes"
+    hint = f"`{context.command_path if context else 'insdvl-replay'} --help` lists commands, arguments and options"
     if option := getattr(error, "option_name", ""):
-        told = re.sub(r" \(Possible options: .*\)| Did you mean .*\?", "", told)
+        text = re.sub(r" \(Possible options: .*\)| Did you mean .*\?", "", text)
         meant = nearest(option, getattr(error, "possibilities", None) or ())
         hint = f"did you mean {meant}?" if meant else hint
-    elif suggested := re.search(r"\. Did you mean '([^']+)'\?$", told):
-        told, hint = told[: suggested.start()], f"did you mean {suggested[1]}?"
-    elif choices := re.search(r"\.? Choose from: ", told):
-        told, hint = told[: choices.start()], f"one of: {told[choices.end() :]}"
-    return told[:1].lower() + told[1:].rstrip("."), hint
+    elif suggested := re.search(r"\. Did you mean '([^']+)'\?$", text):
+        text, hint = text[: suggested.start()], f"did you mean {suggested[1]}?"
+    elif choices := re.search(r"\.? Choose from: ", text):
+        text, hint = text[: choices.start()], f"one of: {text[choices.end() :]}"
+    return text[:1].lower() + text[1:].rstrip("."), hint

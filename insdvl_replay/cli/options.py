@@ -1,4 +1,4 @@
-"""Options that several commands share, and the words that options choose from."""
+"""Options that several commands share, and the allowed values of options."""
 
 import re
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from insdvl_replay.core.errors import ConfigError
 
 
 class PlainCommand(TyperCommand):
-    """A command whose help has no words of Python: arguments that may be several are written so already."""
+    """A command whose help omits type names of Python, such as list[str]."""
 
     def get_help(self, ctx: typer.Context) -> str:  # type: ignore[override]
         """Return the help."""
@@ -21,7 +21,7 @@ class PlainCommand(TyperCommand):
 
 
 def _names(module: str, names: str) -> Callable[[str], list[str]]:
-    """Return what completes a word by the names that a module has; it is imported when somebody types."""
+    """Return a completion by the names in a module, which is imported on completion only."""
 
     def beginning(incomplete: str) -> list[str]:
         known = getattr(import_module(f"insdvl_replay.{module}"), names)
@@ -36,7 +36,7 @@ PageFormat = Literal["table", "json", "csv", "md", "latex", "html"]
 CheckFormat = Literal["text", "md", "json", "junit", "github"]
 Color = Literal["auto", "always", "never"]
 
-PrintedAs = Annotated[Format, typer.Option("--format", help="How the tables are printed.")]
+PrintedAs = Annotated[Format, typer.Option("--format", help="Output format.")]
 Preset = Annotated[
     str | None,
     typer.Option(
@@ -55,14 +55,22 @@ Logs = Annotated[
 Start = Annotated[
     float | None, typer.Option("--start", metavar="T", help="Start here, in seconds from the first IMU sample.")
 ]
-End = Annotated[float | None, typer.Option("--end", metavar="T", help="End here, likewise.")]
+End = Annotated[
+    float | None, typer.Option("--end", metavar="T", help="End here, in seconds from the first IMU sample.")
+]
 AllowDamaged = Annotated[
-    bool, typer.Option("--allow-damaged", help="Use what can be read of a damaged log; what is lost is said.")
+    bool, typer.Option("--allow-damaged", help="Use the readable part of a damaged log; a note counts what is lost.")
 ]
 AllowCode = Annotated[
-    bool, typer.Option("--allow-code", help="Run the code that settings name (module:Class), with your rights.")
+    bool,
+    typer.Option("--allow-code", help="Run the code that the settings name (module:Class), with your permissions."),
 ]
-OneDive = Annotated[bool, typer.Option("--one-dive", help="Read all files as one dive, named after the first by name.")]
+OneDive = Annotated[
+    bool,
+    typer.Option(
+        "--one-dive", help="Read all files as one dive. Its name is that of the first file in alphabetical order."
+    ),
+]
 Scenario = Annotated[
     str,
     typer.Argument(
@@ -78,22 +86,23 @@ Settings = Annotated[
 ConfigFiles = Annotated[
     list[Path],
     typer.Option(
-        "-c", "--config", metavar="FILE", help="Settings as TOML, on top of the preset; later ones on top of earlier."
+        "-c",
+        "--config",
+        metavar="FILE",
+        help="TOML settings that override the preset. Later files override earlier ones.",
     ),
 ]
 Outages = Annotated[
     list[str],
-    typer.Option(
-        "--outage", metavar="START:END", help="Seconds during which no beam finds the bottom. May be repeated."
-    ),
+    typer.Option("--outage", metavar="START:END", help="Time span in seconds without bottom track. May be repeated."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace what an earlier run wrote.")]
-Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Dives at the same time, each in a process.")]
+Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Number of parallel processes, one dive each.")]
 Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDR", help="Replay on the dask.distributed cluster at this address."),
 ]
-Rerun = Annotated[bool, typer.Option("--rerun", help="Replay also dives whose result is unchanged.")]
+Rerun = Annotated[bool, typer.Option("--rerun", help="Replay all dives, also those whose result is up to date.")]
 Verbose = Annotated[
     int,
     typer.Option(
@@ -101,14 +110,12 @@ Verbose = Annotated[
         "--verbose",
         count=True,
         show_default=False,
-        help="Say more; twice, also where in the code an error arose.",
+        help="Print more; twice (-vv), also the traceback of an error.",
     ),
 ]
 
 
-Quiet = Annotated[
-    bool, typer.Option("-q", "--quiet", help="Say less: the verdict in a line, errors, and the exit code.")
-]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Print less: the verdict in one line, and errors.")]
 
 
 def _choose_color(color: Color) -> Color:
@@ -123,11 +130,11 @@ Colored = Annotated[
     typer.Option(
         "--color",
         callback=_choose_color,
-        help="Color the words on filters: on a terminal, unless NO_COLOR is set; always; never.",
+        help="Color the verdicts: auto (on a terminal, unless NO_COLOR is set), always or never.",
     ),
 ]
 ChosenTables = Annotated[
-    list[str], typer.Option("--table", metavar="NAME", help="This table alone, and all of it. May be repeated.")
+    list[str], typer.Option("--table", metavar="NAME", help="Print only this table, with all rows. May be repeated.")
 ]
 
 
@@ -137,7 +144,7 @@ def span_settings(start: float | None, end: float | None) -> list[str]:
 
 
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:
-    """Read what ``--outage`` was given."""
+    """Parse the values of ``--outage``."""
     spans = []
     for text in texts:
         try:

@@ -1,4 +1,4 @@
-"""``insdvl-replay run``. What is heavy to import waits until there is work to do."""
+"""``insdvl-replay run``. Slow imports wait until there is work to do."""
 
 import os
 import sys
@@ -15,13 +15,14 @@ from insdvl_replay.core.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
 
-_BEGINNING = 1000  # bytes of a file that say whether it is one of ours
+_BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
 
 
 def run(
     logs: opt.Logs,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Where each log gets a folder of its name.")
+        Path,
+        typer.Option("-o", "--output", metavar="DIR", help="Output folder; each log gets a subfolder with its name."),
     ] = Path("replay"),
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
@@ -30,9 +31,11 @@ def run(
     settings: opt.Settings = [],
     starts: Annotated[
         int | None,
-        typer.Option(metavar="K", min=1, help="Run each filter from K drawn starts; 16 unless the settings say."),
+        typer.Option(
+            metavar="K", min=1, help="Number of drawn starts for each filter (default: evaluation.starts, 16)."
+        ),
     ] = None,
-    format_: Annotated[opt.Format, typer.Option("--format", help="How the tables are printed.")] = "table",
+    format_: Annotated[opt.Format, typer.Option("--format", help="Output format.")] = "table",
     tables: opt.ChosenTables = [],
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
@@ -41,10 +44,10 @@ def run(
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,
     tum: Annotated[
-        bool, typer.Option("--tum", help="Write trajectories for evo, too: filter_NAME.tum and reference.tum.")
+        bool, typer.Option("--tum", help="Also write trajectories for evo: filter_NAME.tum and reference.tum.")
     ] = False,
     history: Annotated[
-        Literal["csv", "parquet"] | None, typer.Option("--history", help="Write the whole history of each filter, too.")
+        Literal["csv", "parquet"] | None, typer.Option("--history", help="Also write the full history of each filter.")
     ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: opt.Jobs = 1,
@@ -57,11 +60,13 @@ def run(
 ) -> int:
     """Replay dives through the configured filters.
 
-    The screen has the word on each filter and the evidence for it; -v prints all tables, --table one of them.
-    Each log gets a folder with report.html, CSV tables,
-    report.json, replay.mcap and the settings; several logs also a summary.csv and an index.html that leads to them.
-    A log that cannot be used does not stop the others. A dive whose log, settings and versions are those of the result
-    that lies there is not replayed again.
+    The screen shows the verdict of each filter and the evidence for it. -v prints all tables, --table one of them.
+
+    Each log gets a folder with report.html, CSV tables, report.json, replay.mcap and the settings. Several logs also
+    get a summary.csv and an index.html with links to each dive.
+
+    A log that cannot be used does not stop the others. A dive is replayed only if its log, the settings or the
+    versions have changed since its last result.
 
     \b
     Example:
@@ -109,8 +114,7 @@ def run(
     alone = len(dives) == 1
     if not alone:
         _require_overviews(dives, output, force=force)
-    # The screen has the answer alone; with it, stderr names each result and warning only where it is not the same
-    # terminal.
+    # With the screen, stderr names each result and warning only if it is not the same terminal.
     shows_screen = format_ == "table" and not (tables or verbose or quiet)
     talks = not (quiet or (shows_screen and sys.stderr.isatty()))
 
@@ -135,7 +139,7 @@ def run(
             log_notes(report.notes, verbose=verbose > 0)
         if outcome.unchanged and alone and not (quiet or talks):
             log_to_stderr(f"unchanged {target}")
-        # Of several dives, their screen and what machines read come once all are done.
+        # For several dives, the screen, JSON and CSV are printed once all are done.
         if quiet and format_ == "table":
             write_stdout(f"{visible(heading(report))}\n")
         elif alone or not (shows_screen or format_ in ("json", "csv")):
@@ -147,7 +151,7 @@ def run(
         if strict and warnings:
             found = f"{name}: --strict allows no warnings, found {', '.join(warnings)}"
             codes[name] = log_failure(
-                LogError(found, "the result is written; leave --strict out to accept it"), verbose
+                LogError(found, "the result was written; leave --strict out to accept it"), verbose
             )
     if alone:
         return max(codes.values())
@@ -174,7 +178,7 @@ def run(
 
 
 def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> None:
-    """Raise where a file of several dives together cannot be written; what bears its name and is none stays."""
+    """Raise if an overview cannot be written. A file with its name that is no overview is not replaced."""
     from insdvl_replay.results.folder import require_replaceable_file
     from insdvl_replay.show.dives import OVERVIEWS
 
@@ -183,11 +187,11 @@ def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: boo
         for dive in dives:
             if dive.target == path:
                 raise ConfigError(
-                    f"{dive.name}: its results would bear the name of an overview", "rename it, or replay it alone"
+                    f"{dive.name}: its results would have the name of an overview", "rename it, or replay it alone"
                 )
         if os.path.lexists(path):
             if path.is_symlink() or not path.is_file():
-                raise ConfigError(f"{path}: is no file of its own, and is not replaced", f"rm {path}")
+                raise ConfigError(f"{path}: is a link or a folder, and is not replaced", f"rm {path}")
             require_replaceable_file(path, force=force or beginning in path.read_bytes()[:_BEGINNING])
 
 
@@ -214,6 +218,6 @@ def outcomes(
     names = changed[0].name.name if len(changed) == 1 else f"{len(changed)} dives"
     with progress(f"replaying {names}{compiling()}") as bar, closing(replays):
         for outcome in replays:
-            bar.stop()  # room for what is said or printed of it
+            bar.stop()  # room for messages and tables
             yield outcome
             bar.start()

@@ -1,4 +1,4 @@
-"""The terminal's width and colours, and how far long work is, as rich sees them."""
+"""Width and colours of the terminal, and progress bars, by rich."""
 
 import os
 import sys
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 PIPED_COLUMNS = 10_000
-"""Wide enough that nothing is ever folded where no terminal limits the width."""
+"""Width without a terminal, so that no line is wrapped."""
 
 
 def written(result: Result, format_: str) -> str:
-    """Return a result as ``--format`` asks for it."""
+    """Return a result in the ``--format`` asked for."""
     return printed(for_terminal(parts_of(result))) if format_ == "table" else render(result, format_)
 
 
 class Colors:
-    """Whether stdout has colours: as ``--color`` wants it; without a wish, on a terminal unless NO_COLOR is set."""
+    """Whether stdout has colours: by ``--color``, else on a terminal unless NO_COLOR is set."""
 
     wanted: bool | None = None
 
     @classmethod
     def system(cls) -> Literal["auto", "standard"] | None:
-        """Return what rich calls the kind of colours."""
+        """Return the colour system for rich."""
         if cls.wanted is None:
             return None if os.environ.get("NO_COLOR") else "auto"
         return "standard" if cls.wanted else None
 
 
 def printed(content: RenderableType) -> str:
-    """Lay tables out for stdout: as wide as the terminal, or as wide as it takes."""
+    """Render tables for stdout: as wide as the terminal, or unlimited without one."""
     console = Console(
         file=sys.stdout,
         highlight=False,
@@ -57,7 +57,7 @@ def printed(content: RenderableType) -> str:
 
 @contextmanager
 def progress(text: str) -> Iterator["Progress"]:
-    """Show what is waited for, the stage of the work, and how far it is, on a terminal only."""
+    """Show the stage of the work and its progress, on a terminal only."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(file=sys.stderr, highlight=False)
@@ -76,11 +76,11 @@ def progress(text: str) -> Iterator["Progress"]:
 
 
 def compiling() -> str:
-    """Report what a first run waits for, as the end of a sentence; nothing where the filter is compiled.
+    """Return the end of a sentence that announces the first compilation; empty if the filter is compiled.
 
-    Where compiled code cannot be kept, each run waits for it, and a warning says why.
+    If compiled code cannot be stored, each run compiles again. A warning says why.
     """
     if reason := cache_problem():
-        text = f"warning: compiled code cannot be kept: {reason}. Each run compiles the filter, for some 20 s"
+        text = f"warning: compiled code cannot be stored: {reason}. Each run compiles the filter again, about 20 s"
         log_to_stderr(f"{text}; hint: INSDVL_REPLAY_CACHE=/a/folder/of/yours")
-    return "" if is_warm() else "; the first run on a machine compiles the filter, which takes some ten seconds"
+    return "" if is_warm() else "; the first run on a machine compiles the filter, about 10 s"

@@ -1,4 +1,4 @@
-"""``simulate``, ``config``, ``schema``, ``compile`` and ``figure``: what prepares replays, and what follows them."""
+"""``simulate``, ``config``, ``schema``, ``explain``, ``compile`` and ``figure``."""
 
 import math
 import re
@@ -22,54 +22,52 @@ _Value = TypeVar("_Value")
 _SHORT_S = 10.0
 NARROWEST_MM, WIDEST_MM = 20.0, 1000.0
 SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check")
-"""What has a JSON schema: what `config` reads from TOML, `report.json` of a replay and of a study, and what `--format
-json` prints of the other commands."""
+"""Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
+of the other commands."""
 
 
 def simulate(
     scenario: opt.Scenario,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="LOG", help="The MCAP file to write.")],
-    seed: Annotated[
-        int, typer.Option(metavar="N", help="Of every sensor error; the same seed gives the same bytes.")
-    ] = 1,
+    seed: Annotated[int, typer.Option(metavar="N", help="Random seed; the same seed gives the same bytes.")] = 1,
     duration: Annotated[
-        float | None, typer.Option(metavar="S", help="Seconds; left out, as long as the scenario is.")
+        float | None, typer.Option(metavar="S", help="Duration in s (default: that of the scenario).")
     ] = None,
     imu: Annotated[
         str,
-        typer.Option(
-            metavar="GRADE", help="How good the IMU is: fog, tactical or mems.", autocompletion=opt.grade_names
-        ),
+        typer.Option(metavar="GRADE", help="IMU grade: fog, tactical or mems.", autocompletion=opt.grade_names),
     ] = "fog",
     outage: opt.Outages = [],
     lost_beam: Annotated[
         list[str],
         typer.Option(
             metavar="BEAM:START:END",
-            help="The same for one beam, counted from 0, which tables call beam_1. May be repeated.",
+            help="Time span in seconds without one beam, counted from 0 (beam_1 in tables). May be repeated.",
         ),
     ] = [],
     sensor: Annotated[
         list[str],
         typer.Option(
             metavar="NAME=SD[@HZ]",
-            help=f"{', '.join(SENSORS)}: its noise in m or deg, and its rate, else 1 Hz. May be repeated.",
+            help=f"Add a sensor ({', '.join(SENSORS)}) with noise in m or deg, at HZ (default 1). May be repeated.",
         ),
     ] = [],
     lever_arm: Annotated[
-        str, typer.Option(metavar="X,Y,Z", help="From the IMU to the DVL, forward, starboard, down, m.")
+        str, typer.Option(metavar="X,Y,Z", help="Lever arm from IMU to DVL: forward, starboard, down, m.")
     ] = "0,0,0",
     mounting: Annotated[
-        str, typer.Option(metavar="R,P,H", help="How the DVL is turned: roll, pitch and heading, deg.")
+        str, typer.Option(metavar="R,P,H", help="Mounting of the DVL: roll, pitch, heading, deg.")
     ] = "0,0,0",
-    dvl_delay: Annotated[float, typer.Option(metavar="S", help="Seconds by which pings are stamped too late.")] = 0.0,
-    dvl_scale: Annotated[float, typer.Option(metavar="TIMES", help="What the DVL reads over the velocity.")] = 1.0,
+    dvl_delay: Annotated[float, typer.Option(metavar="S", help="Delay of the ping stamps in s.")] = 0.0,
+    dvl_scale: Annotated[
+        float, typer.Option(metavar="TIMES", help="Scale of the DVL: measured over true velocity.")
+    ] = 1.0,
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
 ) -> None:
     """Write a simulated dive as a log.
 
-    Its reference is the exact motion, and it holds the true sensor biases.
+    Its reference is the exact motion. It also contains the true sensor biases.
 
     \b
     Example:
@@ -142,9 +140,9 @@ def _sensors(texts: list[str]) -> "dict[str, SensorErrors]":
             raise ConfigError(f"--sensor {text}: is not of the form NAME=SD[@HZ]", f"--sensor {name}=0.1@4") from error
         if not (errors.sd > 0.0 and math.isfinite(errors.sd)):
             unit = SIMULATED[name].unit
-            raise ConfigError(f"--sensor {text}: a noise of {sd} {unit} cannot be", f"--sensor {name}=0.1")
+            raise ConfigError(f"--sensor {text}: the noise must be above 0 {unit}, found {sd}", f"--sensor {name}=0.1")
         if name in found:
-            raise ConfigError(f"--sensor {text}: there is a {name} already", "leave one of them out")
+            raise ConfigError(f"--sensor {text}: {name} is given twice", "leave one of them out")
         found[name] = errors
     return found
 
@@ -154,7 +152,7 @@ def config(
     file: Annotated[
         list[Path],
         typer.Option(
-            "-c", "--config", "--from", metavar="FILE", help="Settings as TOML, on top of the preset. May be repeated."
+            "-c", "--config", "--from", metavar="FILE", help="TOML settings that override the preset. May be repeated."
         ),
     ] = [],
     settings: opt.Settings = [],
@@ -162,7 +160,7 @@ def config(
 ) -> None:
     """Print the resolved settings as commented TOML.
 
-    It is ready to be edited and given to `run -c`. Precedence: defaults, then preset, then file, then --set.
+    Edit the output and pass it to `run -c`. Later layers override earlier ones: defaults, preset, files, --set.
 
     \b
     Example:
@@ -179,7 +177,7 @@ def schema(
         str | None,
         typer.Argument(
             metavar="NAME",
-            help="config, report, inspection, study, comparison, check, calibration, or a message type; left out: all.",
+            help="config, report, inspection, study, comparison, check, calibration, or a message type (default: all).",
         ),
     ] = None,
     verbose: opt.Verbose = 0,
@@ -208,7 +206,7 @@ def schema(
 
 
 def json_schema(name: str) -> bytes:
-    """Describe one of them as JSON schema (draft 2020-12)."""
+    """Return the JSON schema (draft 2020-12) of one of `SCHEMAS`."""
     import msgspec
 
     from insdvl_replay.calibration.rows import TABLES as CALIBRATION
@@ -237,7 +235,7 @@ def json_schema(name: str) -> bytes:
 
 
 def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
-    """List the words that a value may be where it is described, not as definitions of their own."""
+    """Put the allowed words of a value where it is described, not into separate definitions."""
     definitions = schema["$defs"]
     words = {f"#/$defs/{name}": found["enum"] for name, found in definitions.items() if "enum" in found}
 
@@ -257,11 +255,11 @@ def _with_words(schema: dict[str, Any]) -> dict[str, Any]:
 
 def explain(
     code: Annotated[
-        str | None, typer.Argument(metavar="CODE", help="The code of a note, such as imu_gaps; left out: all.")
+        str | None, typer.Argument(metavar="CODE", help="The code of a note, such as imu_gaps (default: list all).")
     ] = None,
     verbose: opt.Verbose = 0,
 ) -> None:
-    """Print what the code of a note means, what it does to the results, and what to do.
+    """Print the meaning of a note's code, its effect on the results, and the cure.
 
     \b
     Example:
@@ -283,10 +281,10 @@ def explain(
 
 
 def compile_(verbose: opt.Verbose = 0) -> None:
-    """Compile the filter ahead of the first run, which else does it.
+    """Compile the filter now, instead of in the first run.
 
-    The code is kept in ~/.cache/insdvl-replay, or where INSDVL_REPLAY_CACHE says. Runs with the same variable find it
-    there, even where that folder cannot be written any more, as in a container.
+    The compiled code is stored in ~/.cache/insdvl-replay, or in the folder INSDVL_REPLAY_CACHE. Runs with the same
+    variable use it, even if the folder is read-only, as in a container.
 
     \b
     Example:
@@ -300,18 +298,18 @@ def compile_(verbose: opt.Verbose = 0) -> None:
     folder, start_s, was_warm = cache_folder(), time.perf_counter(), is_warm()
     if problem := cache_problem():
         raise ConfigError(
-            f"compiled code cannot be kept: {problem}", "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile"
+            f"compiled code cannot be stored: {problem}", "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile"
         )
     from insdvl_replay.logs import write_dive
     from insdvl_replay.replay import replay_log
     from insdvl_replay.sim.dive import simulate_dive
 
-    with TemporaryDirectory() as name:  # goes through all that a run compiles
+    with TemporaryDirectory() as name:  # compiles everything that a run needs
         log = Path(name, "dive.mcap")
         write_dive(log, simulate_dive("straight", seed=1, duration_s=_SHORT_S))
         replay_log(log, Config())
     took = f"compiled in {time.perf_counter() - start_s:.1f} s"
-    write_stdout(visible(f"{'was compiled already' if was_warm else took}: {folder}") + "\n")
+    write_stdout(visible(f"{'already compiled' if was_warm else took}: {folder}") + "\n")
 
 
 Kind = Literal["error", "track", "sigma", "nis", "outage", "convergence"]
@@ -322,17 +320,18 @@ def figure(
     result: Annotated[Path, typer.Argument(metavar="RESULT", help="A result folder.")],
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help="error, track, sigma, nis, outage or convergence.")],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Left out: KIND and the format, here.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="FILE", help="Default: KIND with the format as ending, in this folder."),
     ] = None,
     format_: Annotated[PictureFormat, typer.Option("--format", help="pgf needs LaTeX.")] = "pdf",
-    width: Annotated[str, typer.Option(metavar="MM", help="Of the picture, such as 88mm for a column.")] = "88mm",
+    width: Annotated[str, typer.Option(metavar="MM", help="Width of the picture, such as 88mm for a column.")] = "88mm",
     states: Annotated[
-        str, typer.Option(metavar="NAMES", help="Of sigma: states, or beginnings of their names, such as ba,bg.")
+        str, typer.Option(metavar="NAMES", help="For sigma only: states, or the start of their names, such as ba,bg.")
     ] = "",
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
 ) -> None:
-    """Draw what a paper prints of a result: a picture that stands on its own.
+    """Draw a figure of a result for a paper.
 
     \b
     Example:
@@ -347,7 +346,7 @@ def figure(
     from insdvl_replay.show.paper import drawn
 
     if states and kind != "sigma":
-        raise ConfigError(f"--states {states}: chooses what sigma draws, and {kind} draws no states", "leave it out")
+        raise ConfigError(f"--states {states}: works with sigma only, not with {kind}", "leave it out")
     chosen, width_mm = chosen_states(states), _width_mm(width)
     folder, report = read_one_result(result, StoredReport)
     trajectory = read_trajectory(folder / TRAJECTORY_FILE)
@@ -370,5 +369,5 @@ def figure(
 def _width_mm(text: str) -> float:
     found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(?:mm)?", text)
     if found is None or not NARROWEST_MM <= float(found[1]) <= WIDEST_MM:
-        raise ConfigError(f"--width {text}: is no width from {NARROWEST_MM:g} to {WIDEST_MM:g} mm", "--width 88mm")
+        raise ConfigError(f"--width {text}: is not a width from {NARROWEST_MM:g} to {WIDEST_MM:g} mm", "--width 88mm")
     return float(found[1])

@@ -17,7 +17,7 @@ Latency = Annotated[float, Meta(ge=-3600, le=3600)]
 
 
 def Comment(comment: str) -> Meta:  # noqa: N802
-    """Hold the comment that `render_toml` writes beside a key."""
+    """Return the comment that `render_toml` writes after a key."""
     return Meta(description=comment)
 
 
@@ -26,10 +26,8 @@ STAMP = "header | log_time | publish_time | a field path; left out: by type, els
 FoundTopic = Annotated[str | None, Comment("left out: found by type")]
 FieldPath = Annotated[str | None, Comment("field path; left out: by type")]
 Stamp = Annotated[str | None, Comment(STAMP)]
-StampLatency = Annotated[Latency, Comment("seconds from validity to stamp, taken off the stamp")]
-AttitudeMounting = Annotated[
-    Vector, Comment("axes of its attitude in those of the IMU: heading, then pitch, then roll")
-]
+StampLatency = Annotated[Latency, Comment("s, stamp minus time of validity; subtracted from the stamp")]
+AttitudeMounting = Annotated[Vector, Comment("roll, pitch, heading of its axes in the IMU's axes, deg")]
 
 
 class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -48,24 +46,26 @@ class Imu(Section, frozen=True):
     angular_rate_unit: Annotated[
         Literal["rad/s", "deg/s"] | None, Comment("rad/s | deg/s; left out: by type, else rad/s")
     ] = None
-    specific_force_scale: Annotated[Positive, Comment("measured over true force; readings are divided by it")] = 1.0
+    specific_force_scale: Annotated[
+        Positive, Comment("measured over true specific force; readings are divided by it")
+    ] = 1.0
     angular_rate_scale: Annotated[Positive, Comment("measured over true rate; readings are divided by it")] = 1.0
     axes: Annotated[str | None, Comment(AXES)] = None
-    specific_force_axes: Annotated[str | None, Comment("where they differ; left out: by type, else as axes")] = None
+    specific_force_axes: Annotated[str | None, Comment("if they differ from axes; left out: by type, else as axes")] = (
+        None
+    )
     stamp: Stamp = None
     latency_s: StampLatency = 0.0
-    min_rate_hz: Annotated[NotNegative, Comment("a slower IMU is refused")] = 20.0
-    max_gap_s: Annotated[Positive, Comment("pauses up to this are bridged as if nothing happened in them")] = 0.5
+    min_rate_hz: Annotated[NotNegative, Comment("a slower IMU is an error")] = 20.0
+    max_gap_s: Annotated[Positive, Comment("gaps up to this are bridged as normal steps")] = 0.5
     long_gaps: Annotated[
         Literal["grow", "split"],
-        Comment("longer ones: grow the uncertainty, up to a quarter turn | split off the longest part without"),
+        Comment(
+            "longer gaps: grow = add uncertainty, up to a quarter turn | split = replay the longest part without one"
+        ),
     ] = "grow"
-    gap_accel_mps2: Annotated[
-        NotNegative, Comment("sd of the acceleration that nobody saw in a long gap, each axis")
-    ] = 0.5
-    gap_rate_degps: Annotated[NotNegative, Comment("sd of the turn rate that nobody saw in a long gap, each axis")] = (
-        5.0
-    )
+    gap_accel_mps2: Annotated[NotNegative, Comment("sd of the unmeasured acceleration in a long gap, each axis")] = 0.5
+    gap_rate_degps: Annotated[NotNegative, Comment("sd of the unmeasured turn rate in a long gap, each axis")] = 5.0
 
 
 class Dvl(Section, frozen=True):
@@ -85,7 +85,7 @@ class Dvl(Section, frozen=True):
     latency_s: StampLatency = 0.0
     latency_of_dives_s: Annotated[
         tuple[tuple[str, Latency], ...],
-        Comment('in place of latency_s, of dives whose clocks were set otherwise: [["dive_7", 0.03]]'),
+        Comment('latency_s of single dives whose clocks were set differently: [["dive_7", 0.03]]'),
     ] = ()
     beam_tilt_deg: Annotated[
         Annotated[float, Meta(gt=0, lt=90)] | None, Comment("from the DVL's z axis; left out: by the message, else 30")
@@ -97,18 +97,18 @@ class Dvl(Section, frozen=True):
     lever_arm_m: Annotated[Vector, Comment("IMU to DVL, forward-starboard-down")] = (0.0, 0.0, 0.0)
     mounting_rpy_deg: Annotated[Vector, Comment("DVL to body, roll, pitch, heading")] = (0.0, 0.0, 0.0)
     scale: Annotated[Positive, Comment("measured over true velocity; readings are divided by it")] = 1.0
-    velocity_sd_mps: Annotated[Positive, Comment("noise of a velocity from all beams, alike on each axis")] = 0.02
+    velocity_sd_mps: Annotated[Positive, Comment("noise of a velocity from all beams, same on each axis")] = 0.02
     beam_sd_mps: Annotated[
         Positive | None,
-        Comment("noise of one beam, which by the beams' tilt is less down; set, it goes before velocity_sd_mps"),
+        Comment("noise of one beam; along down it is less, by the beams' tilt. If set, velocity_sd_mps is ignored"),
     ] = None
     max_beam_residual_mps: Annotated[
-        Positive | None, Comment("pings whose beams disagree by more are dropped; left out: none")
+        Positive | None, Comment("pings whose beams disagree by more are dropped; left out: keep all")
     ] = None
 
 
 class Depth(Section, frozen=True):
-    """Where the depth comes from; read where a filter is aided by it, or where it is withheld."""
+    """Where the depth comes from. It is read if a filter uses it, or if it is held out."""
 
     topic: FoundTopic = None
     depth: Annotated[str | None, Comment("field path, m, positive downwards; left out: by type")] = None
@@ -117,9 +117,9 @@ class Depth(Section, frozen=True):
     pressure_unit: Annotated[
         Literal["Pa", "hPa", "kPa", "dbar", "bar"] | None, Comment("Pa | hPa | kPa | dbar | bar; left out: Pa")
     ] = None
-    density_kgpm3: Annotated[Positive, Comment("of the water, for pressures")] = 1025.0
+    density_kgpm3: Annotated[Positive, Comment("of the water, to convert pressure")] = 1025.0
     surface_height_m: Annotated[
-        float | None, Comment("of depth 0 above the ellipsoid; left out: so that it fits the start")
+        float | None, Comment("height of depth 0 above the ellipsoid; left out: fitted at the start")
     ] = None
     lever_arm_m: Annotated[Vector, Comment("IMU to the sensor, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one reading")] = 0.1
@@ -128,7 +128,7 @@ class Depth(Section, frozen=True):
 
 
 class Heading(Section, frozen=True):
-    """Where a heading comes from that is not the INS's: an AHRS or a compass; read as the depth is."""
+    """Where an independent heading comes from: an AHRS or a compass. Read under the same conditions as the depth."""
 
     topic: FoundTopic = None
     quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
@@ -141,18 +141,20 @@ class Heading(Section, frozen=True):
     ] = None
     mounting_rpy_deg: AttitudeMounting = (0.0, 0.0, 0.0)
     declination_deg: Annotated[
-        Annotated[float, Meta(ge=-180, le=180)], Comment("magnetic north from true north, clockwise, of a compass")
+        Annotated[float, Meta(ge=-180, le=180)], Comment("of a compass: magnetic north from true north, clockwise")
     ] = 0.0
     sd_deg: Annotated[Positive, Comment("noise of one reading")] = 2.0
-    bias_sd_deg: Annotated[Positive, Comment("of its slow error, for filters with the state heading_bias")] = 3.0
-    bias_time_s: Annotated[Annotated[float, Meta(ge=1)], Comment("in which that error is forgotten")] = 600.0
-    level_sd_deg: Annotated[Positive, Comment("of its roll and pitch, each, where filters start from them")] = 0.5
+    bias_sd_deg: Annotated[Positive, Comment("sd of its slow error, for filters with the state heading_bias")] = 3.0
+    bias_time_s: Annotated[Annotated[float, Meta(ge=1)], Comment("correlation time of that error")] = 600.0
+    level_sd_deg: Annotated[Positive, Comment("sd of its roll and pitch, each, if filters start from them")] = 0.5
     stamp: Stamp = None
     latency_s: StampLatency = 0.0
 
 
 class Position(Section, frozen=True):
-    """Where fixes of the position come from: satellites at the surface, or an acoustic system; read as the depth is."""
+    """Where position fixes come from: GNSS at the surface, or an acoustic system. Read under the same conditions as the
+    depth.
+    """
 
     topic: FoundTopic = None
     latitude: FieldPath = None
@@ -161,26 +163,24 @@ class Position(Section, frozen=True):
     angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of latitude and longitude")] = "deg"
     lever_arm_m: Annotated[Vector, Comment("IMU to the antenna, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one fix, north and east")] = 2.0
-    height_sd_m: Annotated[Positive | None, Comment("of its height; left out: the height is not used")] = None
+    height_sd_m: Annotated[Positive | None, Comment("noise of its height; left out: the height is not used")] = None
     stamp: Stamp = None
     latency_s: StampLatency = 0.0
 
 
 class Navigation(Section, frozen=True):
-    """Where positions, velocities and attitudes come from that somebody else has found; each is optional."""
+    """Where a computed solution comes from: position, velocity and attitude, each optional."""
 
     topic: FoundTopic = None
     fix: Annotated[str | None, Comment("topic of the geographic position; left out: found by type")] = None
-    frames: Annotated[tuple[str, str] | None, Comment("of transforms: parent and child, the child being the body")] = (
-        None
-    )
+    frames: Annotated[tuple[str, str] | None, Comment("of transforms: parent and child; the child is the body")] = None
     axes: Annotated[Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu; left out: by type")] = None
     latitude: FieldPath = None
     longitude: FieldPath = None
     height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
-    depth: Annotated[str | None, Comment("field path, m, in place of the height")] = None
+    depth: Annotated[str | None, Comment("field path, m; replaces height")] = None
     velocity_n: Annotated[
-        str | None, Comment("field path, north-east-down, or east-north-up with such axes or beside a quaternion")
+        str | None, Comment("field path, north-east-down; east-north-up with axes enu_flu or with a quaternion")
     ] = None
     velocity_b: Annotated[str | None, Comment("field path, in the axes of the body; left out: by type")] = None
     quaternion: Annotated[str | None, Comment("field path, x, y, z, w; left out: by type")] = None
@@ -190,42 +190,46 @@ class Navigation(Section, frozen=True):
     angle_unit: Annotated[
         Literal["deg", "rad"], Comment("deg | rad: of latitude, longitude, roll, pitch and heading")
     ] = "deg"
-    lever_arm_m: Annotated[Vector, Comment("IMU to the point that it is of, forward-starboard-down")] = (0.0, 0.0, 0.0)
+    lever_arm_m: Annotated[Vector, Comment("IMU to the point of the solution, forward-starboard-down")] = (
+        0.0,
+        0.0,
+        0.0,
+    )
     mounting_rpy_deg: AttitudeMounting = (0.0, 0.0, 0.0)
     stamp: Stamp = None
     latency_s: StampLatency = 0.0
 
 
 class Reference(Navigation, frozen=True):
-    """The solution to start from and to compare with; position, velocity and attitude are each optional."""
+    """The solution to start from and to compare with. Position, velocity and attitude are each optional."""
 
-    independent: Annotated[bool, Comment("false: it was made from the same IMU or DVL")] = True
+    independent: Annotated[bool, Comment("false: it was computed from the same IMU or DVL")] = True
     position_sd_m: Annotated[
-        NotNegative, Comment("its own error: smaller differences between filters count as none")
+        NotNegative, Comment("sd of its own error; smaller differences between filters count as none")
     ] = 0.0
-    velocity_sd_mps: Annotated[NotNegative, Comment("likewise, each axis")] = 0.0
-    attitude_sd_deg: Annotated[NotNegative, Comment("likewise, each axis")] = 0.0
+    velocity_sd_mps: Annotated[NotNegative, Comment("the same for velocity, each axis")] = 0.0
+    attitude_sd_deg: Annotated[NotNegative, Comment("the same for attitude, each axis")] = 0.0
 
 
 class Solution(Navigation, frozen=True):
-    """A solution that the vehicle found itself, to be judged as a filter is; its keys are read as the reference's."""
+    """The onboard solution, evaluated like a filter. Its keys have the same meaning as those of the reference."""
 
-    topic: Annotated[str | None, Comment("of the log; or file")] = None
-    fix: Annotated[str | None, Comment("topic of its geographic position; left out: that of its own topic")] = None
-    file: Annotated[str | None, Comment("a TUM file: time x y z qx qy qz qw, beside the settings; or topic")] = None
-    sha256: Annotated[str | None, Comment("of the file, which another one is not taken for; left out: that it has")] = (
-        None
-    )
+    topic: Annotated[str | None, Comment("topic of the log; set this or file")] = None
+    fix: Annotated[str | None, Comment("topic of its geographic position; left out: same as topic")] = None
+    file: Annotated[
+        str | None, Comment("TUM file (time x y z qx qy qz qw), relative to the settings file; set this or topic")
+    ] = None
+    sha256: Annotated[str | None, Comment("of the file; another file is an error. Left out: any file")] = None
     align: Annotated[
         Literal["none", "position", "heading"] | None,
         Comment(
-            "none | position: laid on the baseline where it begins | heading: turned to it, too; left out: position, "
-            "of geographic ones none"
+            "none | position: aligned to the baseline's start | heading: also turned to its heading; "
+            "left out: position, or none for geographic positions"
         ),
     ] = None
 
 
-FILE_ENDINGS: Final = (".tum", ".txt")  # How a name ends that is of a file; no topic of ROS has a dot.
+FILE_ENDINGS: Final = (".tum", ".txt")  # Endings of file names; ROS topics have no dot.
 
 
 # Keys that name fields of a topic.
@@ -241,16 +245,16 @@ TOPIC_KEYS: Final = (
     "pitch",
     "heading",
 )
-MOST_BYTES: Final = 1 << 28  # Of a file with a solution: two hours at 200 Hz have 160 MB.
+MOST_BYTES: Final = 1 << 28  # Limit for a solution file; two hours at 200 Hz are 160 MB.
 
 
 def key_of(name: str) -> str:
-    """Return the key that a mere name stands for: it is a file, by its ending, or a topic."""
+    """Return ``file`` or ``topic`` for a name, by its ending."""
     return "file" if name.lower().endswith(FILE_ENDINGS) else "topic"
 
 
 def spelled_out(solution: str | Solution) -> Solution:
-    """Return the settings that a mere name stands for."""
+    """Return the settings of a solution that is given by name only."""
     if isinstance(solution, Solution):
         return solution
     return Solution(file=solution) if key_of(solution) == "file" else Solution(topic=solution)
@@ -262,32 +266,32 @@ class Initial(Section, frozen=True):
     source: Annotated[
         Literal["reference", "level", "sensor"],
         Comment(
-            "reference | level (by gravity and DVL) | sensor (of [heading]); "
-            "of a reference the last two take the position alone"
+            "reference | level (by gravity and DVL) | sensor (attitude of [heading]); "
+            "the last two use only the position of a reference"
         ),
     ] = "reference"
     heading_deg: Annotated[
         float | Literal["fit", "sensor"] | None,
-        Comment('needed where the reference has no attitude: a number, "fit" (by a track of positions) or "sensor"'),
+        Comment('needed if the reference has no attitude: a number, "fit" (by its track of positions) or "sensor"'),
     ] = None
     latitude_deg: Annotated[
-        Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed where the reference has no position")
+        Annotated[float, Meta(ge=-89.9, le=89.9)] | None, Comment("needed if the reference has no position")
     ] = None
-    longitude_deg: Annotated[float, Comment("used where the reference has no position")] = 0.0
-    height_m: Annotated[float, Comment("used where the reference has no height")] = 0.0
+    longitude_deg: Annotated[float, Comment("used if the reference has no position")] = 0.0
+    height_m: Annotated[float, Comment("used if the reference has no height")] = 0.0
     accel_bias_mg: Annotated[Vector, Comment("forward, starboard, down")] = (0.0, 0.0, 0.0)
     gyro_bias_degph: Annotated[Vector, Comment("forward, starboard, down")] = (0.0, 0.0, 0.0)
     velocity_sd_mps: Annotated[Positive, Comment("each axis")] = 0.1
     misalignment_sd_deg: Annotated[
         tuple[Positive, Positive, Positive],
-        Comment("north, east, down; of a levelled vehicle the third alone, of the heading, and the rest from its data"),
+        Comment("north, east, down; with source level only down (heading) is used, the rest is estimated"),
     ] = (0.5, 0.5, 0.5)
     position_sd_m: Annotated[
         tuple[Positive, Positive, Positive],
-        Comment("north, east, down; of filters that estimate the position, as those aided by depth do"),
+        Comment("north, east, down; for filters that estimate the position, such as those aided by depth"),
     ] = (1.0, 1.0, 1.0)
-    dvl_scale_sd_pct: Annotated[Positive, Comment("of filters that estimate the DVL's scale")] = 0.5
-    dvl_yaw_sd_deg: Annotated[Positive, Comment("of filters that estimate how the DVL is turned about down")] = 1.0
+    dvl_scale_sd_pct: Annotated[Positive, Comment("for filters with the state dvl_scale")] = 0.5
+    dvl_yaw_sd_deg: Annotated[Positive, Comment("for filters with the state dvl_yaw (mounting about down)")] = 1.0
     accel_bias_sd_mg: Annotated[Positive, Comment("each axis")] = 50.0
     gyro_bias_sd_degph: Annotated[Positive, Comment("each axis")] = 10.0
 
@@ -308,44 +312,43 @@ class Acceleration(Section, frozen=True):
         "windowed"
     )
     window: Annotated[Annotated[int, Meta(ge=2, le=1000)], Comment("number of velocities, 2 to 1000")] = 3
-    order: Annotated[Annotated[int, Meta(ge=1)], Comment("of the fitted polynomial, below window")] = 1
+    order: Annotated[Annotated[int, Meta(ge=1)], Comment("order of the fitted polynomial, below window")] = 1
     sd_mps2: Annotated[Positive | None, Comment("left out: from the DVL's and the accelerometer's noise")] = None
-    max_window_gap_s: Annotated[Positive, Comment("a longer pause between pings starts a new window")] = 2.5
+    max_window_gap_s: Annotated[Positive, Comment("a longer gap between pings starts a new window")] = 2.5
 
 
 class Filter(Section, frozen=True):
-    """One filter, which is run, or whose solution is read. The first of the configuration is the baseline."""
+    """One filter that is run, or a solution that is read. The first one is the baseline."""
 
     aiding: Annotated[
         tuple[str, ...], Comment(f"measurements, in this order: {' | '.join(AIDING)} | module:Class")
     ] = ()
     states: Annotated[
         tuple[str, ...],
-        Comment(f"beside the twelve, and those that its aiding needs: {' | '.join(MORE_STATES)}"),
+        Comment(f"extra states, besides the twelve and those that its aiding needs: {' | '.join(MORE_STATES)}"),
     ] = ()
     gate_probability: Annotated[
         Annotated[float, Meta(gt=0, le=1)],
-        Comment("an innovation outside this share of chi-square is rejected; 1: none"),
+        Comment("an innovation outside this share of chi-square is rejected; 1: no gate"),
     ] = 1.0
     gate_reopen_after: Annotated[
         Annotated[int, Meta(ge=0, le=10_000)],
-        Comment("so many velocities rejected in a row: the INS is off, and is set to the DVL; 0: never"),
+        Comment("after this number of rejections in a row, the velocity is set to the DVL's; 0: never"),
     ] = 5
     accel_white_mps_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
     gyro_white_rad_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
     accel_bias_walk_mps2_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
     gyro_bias_walk_radps_rts: Annotated[NotNegative | None, Comment("left out: from [noise]")] = None
-    velocity_sd_mps: Annotated[
-        Positive | None, Comment("goes before both keys of [dvl]; this and beam_sd_mps left out: from [dvl]")
-    ] = None
-    beam_sd_mps: Annotated[Positive | None, Comment("goes before all others")] = None
+    velocity_sd_mps: Annotated[Positive | None, Comment("overrides [dvl]; left out: from [dvl]")] = None
+    beam_sd_mps: Annotated[Positive | None, Comment("overrides velocity_sd_mps and [dvl]; left out: from [dvl]")] = None
     dvl_noise: Annotated[
         Literal["fixed", "adaptive", "student-t"],
-        Comment("fixed | adaptive (by the innovations) | student-t (outliers are expected): R of velocity and beams"),
+        Comment("R of velocity and beams: fixed | adaptive (from the innovations) | student-t (for outliers)"),
     ] = "fixed"
     acceleration: Acceleration | None = None
     solution: Annotated[
-        str | Solution | None, Comment("the vehicle's own, in place of all else: a topic, or a TUM file (.tum, .txt)")
+        str | Solution | None,
+        Comment("the onboard solution; all other keys must be left out: a topic, or a TUM file (.tum, .txt)"),
     ] = None
 
 
@@ -357,10 +360,11 @@ def _default_filters() -> dict[str, Filter]:
 
 
 class Clocks(Section, frozen=True):
-    """How far the clocks that stamp the roles may lie apart."""
+    """How much the clocks of the roles may differ."""
 
     max_disagreement_s: Annotated[
-        NotNegative, Comment("two roles whose log time minus stamp differs by more, beyond their spreads, are refused")
+        NotNegative,
+        Comment("largest allowed difference of log time minus stamp between two roles, beyond their spread"),
     ] = 1.0
 
 
@@ -372,29 +376,27 @@ class Span(Section, frozen=True):
 
 
 class Evaluation(Section, frozen=True):
-    """How the filters are held against each other."""
+    """How the filters are compared."""
 
     starts: Annotated[
         Annotated[int, Meta(ge=1, le=1000)],
-        Comment("each filter is run from so many starts, drawn from [initial]; 1: from the one start alone"),
+        Comment("number of starts per filter, drawn from [initial]; 1: only the dive's own start"),
     ] = 16
-    seed: Annotated[
-        Annotated[int, Meta(ge=0, le=4_294_967_295)], Comment("of the draws; another one shows what hangs on them")
-    ] = 0
+    seed: Annotated[Annotated[int, Meta(ge=0, le=4_294_967_295)], Comment("random seed of the starts")] = 0
     held_out: Annotated[
         tuple[str, ...],
-        Comment(f"sensors that no filter is told of, but judged by: {' | '.join(SENSORS)}"),
+        Comment(f"sensors that no filter uses, and that evaluate all filters: {' | '.join(SENSORS)}"),
     ] = ()
 
 
 class Topic(Section, frozen=True):
-    """A topic that a measurement of your own reads, by the name of its section: ``dive.topics["range"]``."""
+    """A topic for user-defined measurements, by the name of its section: ``dive.topics["range"]``."""
 
-    topic: Annotated[str, Comment("as the log names it")]
-    values: Annotated[str, Comment("field path; of several numbers all paths, with commas between them")]
+    topic: Annotated[str, Comment("topic of the log")]
+    values: Annotated[str, Comment("field path; for several numbers all paths, separated by commas")]
     sensor: Annotated[
         Literal["dvl", "depth", "heading", "position"] | None,
-        Comment("dvl | depth | heading | position: whose data it carries; absent wherever that sensor is held out"),
+        Comment("dvl | depth | heading | position: sensor of the data; not available if that sensor is held out"),
     ] = None
     stamp: Stamp = None
     latency_s: StampLatency = 0.0
@@ -441,7 +443,7 @@ class Config(Section, frozen=True):
         return tuple(name for name in SENSORS if name in asked)
 
     def without_code(self) -> "Config":
-        """Return the settings of those who run no code; a filter that is aided by nothing else is left out."""
+        """Return the settings without user-defined measurements; a filter without other aiding is left out."""
         kept = {
             name: msgspec.structs.replace(filter_, aiding=tuple(word for word in filter_.aiding if ":" not in word))
             for name, filter_ in self.filters.items()
@@ -450,16 +452,16 @@ class Config(Section, frozen=True):
         return msgspec.structs.replace(self, filters=kept or _default_filters())
 
     def of_dive(self, name: str) -> "Config":
-        """Return the settings of one dive: the latency of its DVL may be its own."""
+        """Return the settings of one dive, with the DVL latency of this dive."""
         latency_s = dict(self.dvl.latency_of_dives_s).get(name, self.dvl.latency_s)
         return msgspec.structs.replace(self, dvl=msgspec.structs.replace(self.dvl, latency_s=latency_s))
 
     def without_solutions(self) -> "Config":
-        """Return what those need who look at logs and baseline alone: no solution has to be there."""
+        """Return the settings without filters that read a solution."""
         return msgspec.structs.replace(self, filters=self.computed)
 
     @property
     def solutions(self) -> dict[str, Solution]:
-        """The filters whose solution is read, as their settings have it."""
+        """The solutions that are read, by filter."""
         given = {name: filter_.solution for name, filter_ in self.filters.items()}
         return {name: spelled_out(solution) for name, solution in given.items() if solution is not None}

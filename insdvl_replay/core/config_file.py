@@ -1,4 +1,4 @@
-"""Settings from TOML and back: layers, what a mistake is told, checks across keys, and commented TOML.
+"""Settings from TOML and back: layers, error messages, checks across keys, and commented TOML.
 
 Precedence: defaults, then preset, then files in their order, then command line.
 """
@@ -41,10 +41,10 @@ KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and pl
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
-LARGEST: Final = 1e30  # Nothing that is measured is larger, and powers of what is smaller are still numbers.
-_HINT: Final = "`insdvl-replay config` prints every key with its kind and unit"
+LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
+_HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 _OVERRIDE: Final = "for example --set dvl.scale=1.01"
-# Share of letters of a name that was meant beyond doubt, whatever other names share words with it.
+# Similarity from which a name is surely a misspelling, whatever other names share words with it.
 _MISSPELLED: Final = 0.85
 _ALSO_CALLED: Final[Mapping[str, str]] = {
     "noise": "sd white", "std": "sd", "stddev": "sd", "sigma": "sd", "delay": "latency", "lag": "latency",
@@ -73,14 +73,14 @@ _MEASURED_BY: Final = {
 class TomlSource:
     """A file, preset or option that holds TOML, and how messages name what is in it."""
 
-    name: str  # with which every message begins
-    hint: str = _HINT  # what to do about a wrong value
+    name: str  # start of every message
+    hint: str = _HINT  # for a wrong value
     content: dict[str, Any] = field(default_factory=dict)
-    assigned: str = "{} = {}"  # how a key gets its value there, with ``{}`` for both
+    assigned: str = "{} = {}"  # format of an assignment, with ``{}`` for key and value
     text: str = ""  # of a file
 
     def has(self, *keys: str | int) -> bool:
-        """Return whether a key, from the top, is in it."""
+        """Return whether it contains a key, given by its path from the top."""
         inner: Any = self.content
         for key in keys:
             inner = inner.get(key) if isinstance(inner, Mapping) else None
@@ -91,34 +91,34 @@ class TomlSource:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Parse TOML; all that can be wrong with it is a TOMLDecodeError, more digits or brackets than Python reads too."""
+    """Parse TOML. Every error is a TOMLDecodeError, also too many digits or brackets for Python."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError:
         raise
     except RecursionError as error:
-        raise tomllib.TOMLDecodeError("Too many brackets inside each other") from error
+        raise tomllib.TOMLDecodeError("Too many nested brackets") from error
     except ValueError as error:
         raise tomllib.TOMLDecodeError("A number has too many digits") from error
 
 
 def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> TomlSource:
-    """Read a file of the user's, with a hint what to do about wrong values in it."""
+    """Read a user's file; the hint is for wrong values in it."""
     try:
         text = read_text(path)
         return TomlSource(str(path), hint, parse_toml(text), text=text)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}", if_unreadable) from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})", "it has to be a TOML file") from error
+        raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})", "use a TOML file") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}", if_invalid) from error
 
 
 def converted(table: object, kind: type[S], source: TomlSource, *at: str, label: str = "") -> S:
-    """Convert a table to its structure; a ConfigError tells a mistake with its key, value and what was meant.
+    """Convert a table to its structure; a ConfigError names the key, the value and what was expected.
 
-    The label names the table, which is otherwise named by its path from the top.
+    The label names the table; without one its path from the top does.
     """
     try:
         return msgspec.convert(table, kind)
@@ -130,7 +130,7 @@ def converted(table: object, kind: type[S], source: TomlSource, *at: str, label:
 def _explained(
     error: msgspec.ValidationError, table: Any, kind: type[Struct], source: TomlSource, at: KeyPath
 ) -> ConfigError:
-    """Return the sentence on a mistake in a table."""
+    """Return the error for a wrong key or value in a table."""
     reason, place = re.fullmatch(r"(.*?)(?: - at `\$\.?([^`]*)`)?", str(error), re.DOTALL).groups("")  # type: ignore[union-attr]
     keys = tuple(int(part) if part.isdigit() else part for part in re.findall(r"\w+", place))
     value, wanted = table, kind
@@ -150,14 +150,14 @@ def _explained(
     example = _list_meant(value, wanted) if reason.startswith("Expected `array`") else ""
     return ConfigError(
         f"{f'{name}: ' if name else ''}{value_wanted(reason)}{f', found {shown}' if keys else ''}",
-        f"a list is written so: {source.assigned.format(name, example)}" if example else source.hint,
+        f"write a list: {source.assigned.format(name, example)}" if example else source.hint,
     )
 
 
 def _unknown_key(
     key: str, known: Sequence[str], within: str, elsewhere: Sequence[str], source: TomlSource
 ) -> ConfigError:
-    """Return the sentence on a key that is not known, with those that were likely meant, here or elsewhere."""
+    """Return the error for an unknown key, with similar known keys, here or in other tables."""
     inside = f"{within}.".removeprefix(".")
     near = nearest(key, known)
     meant = most_like(key, known, most=1, least=_MISSPELLED) or _with_words(key, known, 1) or ([near] if near else [])
@@ -172,9 +172,9 @@ def _unknown_key(
 
 
 def value_wanted(reason: str) -> str:
-    """Say what msgspec says of a value, such as ``Expected `array` of length 3, got 2``, without names of types."""
+    """Return msgspec's reason, such as ``Expected `array` of length 3, got 2``, without type names."""
     if lacking := re.fullmatch(r"Object missing required field `(\w+)`", reason):
-        return f"lacks {lacking[1]}"
+        return f"needs the key {lacking[1]}"
     found = _EXPECTED.fullmatch(reason)
     if found is None:
         return reason[:1].lower() + reason[1:]
@@ -187,7 +187,7 @@ def value_wanted(reason: str) -> str:
 
 
 def _list_meant(value: object, kind: Any) -> str:
-    """Write as TOML the list that was meant by what is none, such as ``"[depth, position]"``; empty if unclear."""
+    """Return as TOML the list that a wrong value such as ``"[depth, position]"`` meant; empty if unclear."""
     parts: list[Any] = [part.strip() for part in value.strip(" []").split(",")] if isinstance(value, str) else [value]
     with suppress(ValueError):
         parts = [float(part) if isinstance(part, str) else part for part in parts]
@@ -219,7 +219,7 @@ def _known_paths(kind: type[Struct], above: str = "") -> Iterator[str]:
 
 
 def _words(hint: object) -> Iterator[str]:
-    """Yield the words that a value may be."""
+    """Yield the allowed words of a value."""
     if isinstance(hint, EnumMeta):
         yield from hint.__members__.values()
     for inner in get_args(hint):
@@ -230,7 +230,7 @@ def _words(hint: object) -> Iterator[str]:
 
 
 def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
-    """Return those that share the most words with a name; units do not count, and some words go by other names."""
+    """Return the names that share the most words with a name. Units do not count; some words have synonyms."""
 
     def words_of(text: str) -> set[str]:
         return {word for word in re.split(r"[_.]", text.lower()) if word and word not in _UNITS}
@@ -238,8 +238,8 @@ def _with_words(name: str, known: Collection[str], least: int) -> list[str]:
     wanted = {word for part in words_of(name) for word in (part, *_ALSO_CALLED.get(part, "").split())}
     shared = {other: len(wanted & words_of(other)) for other in known}
     most = max(shared.values(), default=0)
-    alike = [other for other, count in shared.items() if count == most]
-    return most_like(name, alike, most=3) if most >= least else []
+    similar = [other for other, count in shared.items() if count == most]
+    return most_like(name, similar, most=3) if most >= least else []
 
 
 # --- Layers
@@ -259,8 +259,8 @@ def load_config(
     preset : str, optional
         One of `PRESETS`.
     file : Path or sequence of Path, optional
-        TOML; of several, later ones lie over earlier ones. A file with a ``[filters]`` section names all filters; other
-        keys change one setting each.
+        TOML files; later ones override earlier ones. A ``[filters]`` section replaces all filters; every other key
+        changes one setting.
     overrides : sequence of str
         ``section.key=value`` with a TOML value; a bare word is taken as a string.
     allow_code : bool
@@ -288,16 +288,16 @@ def load_config(
         settings = _merged(settings, layer.content)
         _resolved(settings, layer)
     changes = [_parse_override(override) for override in overrides]
-    try:  # two of them may make a filter that neither makes alone
+    try:  # a valid filter may need two of them together
         whole = reduce(_merged, (change.content for change in changes), settings)
         config = _resolved(whole, TomlSource("the configuration"))
     except ConfigError:
-        for change in changes:  # finds which one it was
+        for change in changes:  # finds the wrong one
             settings = _merged(settings, change.content)
             _resolved(settings, change)
         raise
     for key, what, hint in islice(_problems(config, allow_code=allow_code), 1):
-        # The last layer that has what is wrong is named.
+        # The message names the last layer with the wrong key.
         where = next((layer.name for layer in reversed([*layers, *changes]) if layer.has(*key)), "the configuration")
         raise ConfigError(what, hint, *([where] if key else []))
     return _with_digests(config)
@@ -338,7 +338,7 @@ def _resolved(settings: Mapping[str, Any], source: TomlSource) -> Config:
     config = converted(settings, Config, source)
     for path, number in _numbers(msgspec.to_builtins(config)):
         if not math.isfinite(number):
-            what, hint = f"must be a finite number, found {number}", "leave out what is not limited"
+            what, hint = f"must be a finite number, found {number}", "leave the key out if there is no limit"
         elif abs(number) > LARGEST:
             what, hint = f"must be at most {LARGEST:.0e}, found {number}", "`insdvl-replay config` prints its unit"
         else:
@@ -356,7 +356,7 @@ def _numbers(value: object, *path: Any) -> Iterator[tuple[KeyPath, float]]:
 
 
 def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Let the files that filters name be found from wherever the settings are read again; changes the content."""
+    """Make the paths of solution files absolute, in place."""
     filters = content.get("filters")
     for entry in filters.values() if isinstance(filters, Mapping) else ():
         solution = entry.get("solution") if isinstance(entry, Mapping) else None
@@ -368,7 +368,7 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _with_digests(config: Config) -> Config:
-    """Hold fast which files are meant: settings that name another one are others."""
+    """Add the SHA-256 of solution files, so that another file means other settings."""
     filters = dict(config.filters)
     for name, solution in config.solutions.items():
         if solution.file is None:
@@ -379,12 +379,12 @@ def _with_digests(config: Config) -> Config:
         except OSError as error:
             raise ConfigError(
                 f"{key}: {solution.file}: cannot be read: {error.strerror}",
-                "a path counts from the settings' own folder",
+                "paths are relative to the folder of the settings file",
             ) from error
         if solution.sha256 not in (None, sha256):
             raise ConfigError(
-                f"{key}: {solution.file} is not the file that was meant: its SHA-256 is {sha256}",
-                f"leave {key}.sha256 out, and it is taken as it is",
+                f"{key}: {solution.file} is not the expected file: its SHA-256 is {sha256}",
+                f"leave {key}.sha256 out to accept it",
             )
         whole = msgspec.structs.replace(solution, file=str(Path(solution.file).absolute()), sha256=sha256)
         filters[name] = msgspec.structs.replace(filters[name], solution=whole)
@@ -393,24 +393,24 @@ def _with_digests(config: Config) -> Config:
 
 # --- Checks across keys
 
-Problem = tuple[KeyPath, str, str]  # a key of the layer that is to be named, what is wrong, and a hint
+Problem = tuple[KeyPath, str, str]  # key, whose layer the message names; what is wrong; hint
 
 
 def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
-    """Find words that are not known, names that cannot be part of topics, filters without sense, forbidden code."""
+    """Yield unknown words, invalid names, inconsistent filters, and code that is not allowed."""
     held_out = config.evaluation.held_out
     yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
     if not config.filters:
         yield ("filters",), "no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
     for name in config.topics:
         if not (name.isascii() and name.isidentifier()):
-            what = f"the topic's name '{name}' is not a letter followed by letters, digits and _"
+            what = f"topic name '{name}' must be a letter followed by letters, digits and _"
             yield (), what, '[topics.range] topic = "/range", values = "range"'
     for name, filter_ in config.filters.items():
         path = "filters", name
         if not (name.isascii() and name.isidentifier()):
-            what = f"filter name '{name}' is not a letter followed by letters, digits and _"
-            yield path, what, "the name becomes part of topics and rows"
+            what = f"filter name '{name}' must be a letter followed by letters, digits and _"
+            yield path, what, "it is used in topics and tables"
         known = (*AIDING, "module:Class", *(word for word in filter_.aiding if ":" in word))
         yield from _wrong_words(filter_.aiding, known, *path, "aiding")
         yield from _wrong_words(filter_.states, MORE_STATES, *path, "states")
@@ -421,7 +421,7 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     for name, filter_ in config.filters.items():
         for place, word in enumerate(filter_.aiding):
             if ":" in word and not allow_code:
-                hint = "`run`, `check` and `calibrate` take --allow-code, which runs it with your rights"
+                hint = "add --allow-code to `run`, `check` or `calibrate`; the code runs with your permissions"
                 key = _dotted("filters", name, "aiding", place)
                 yield ("filters", name, "aiding"), f"{key} names code: {word}", hint
 
@@ -432,11 +432,11 @@ def _wrong_words(words: Sequence[str], known: Collection[str], *path: str) -> It
         if word not in known:
             yield path, f"{key} '{word}' is not known", hint_for(word, known)
         if word in words[:place]:
-            yield path, f"{key} '{word}' stands there already", "leave one of them out"
+            yield path, f"{key} '{word}' is given twice", "leave one of them out"
 
 
 def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
-    """A solution that is read has a filter that is run before it, and has no keys of one itself."""
+    """Check that a solution that is read is not the baseline and has no other keys of a filter."""
     solution, default = spelled_out(filter_.solution or ""), Filter()
     others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
     names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
@@ -444,19 +444,19 @@ def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tu
     return [
         (
             is_baseline,
-            f"{key}.solution is read, and cannot be the baseline: from its start all others begin",
-            'name a filter first that is run, such as [filters.baseline] with aiding = ["velocity"]',
+            f"{key}.solution is read and cannot be the baseline: all filters begin from the baseline's start",
+            'put a filter with aiding first, such as [filters.baseline] with aiding = ["velocity"]',
         ),
-        (len(others) > 1, f"{key}.solution is read and not run, and {names} says how", "leave one of them out"),
+        (len(others) > 1, f"{key}.solution is read and not run, so {names} has no use", "leave one of them out"),
         (
             (solution.topic is None) == (solution.file is None),
-            f"{key}.solution {'names nothing' if solution.topic is None else 'names a topic and a file'}",
+            f"{key}.solution {'names no topic and no file' if solution.topic is None else 'names a topic and a file'}",
             'solution = "/odometry", or solution = "onboard.tum"',
         ),
         (
             solution.file is not None and of_topic != "",
-            f"{key}.solution is a file, of which {key}.solution.{of_topic} says nothing",
-            "time x y z qx qy qz qw stand in each line, and solution.axes says in which axes",
+            f"{key}.solution is a file, and {key}.solution.{of_topic} is for topics only",
+            "leave it out. Each line has time x y z qx qy qz qw; solution.axes names the axes",
         ),
     ]
 
@@ -465,22 +465,22 @@ def _filter_checks(filter_: Filter, held_out: Sequence[str], key: str) -> list[t
     aiding, acceleration = set(filter_.aiding), filter_.acceleration
     order, window = (acceleration.order, acceleration.window) if acceleration else (0, 1)
     return [
-        (not aiding, f"{key}.aiding names nothing", 'aiding = ["velocity"]'),
+        (not aiding, f"{key}.aiding is empty", 'aiding = ["velocity"]'),
         (
             {"velocity", "beams"} <= aiding,
-            f"{key} is told of every ping twice, by its velocity and its beams",
+            f"{key} uses every ping twice, as velocity and as beams",
             'aiding = ["beams"]',
         ),
         (
             "acceleration" in aiding and acceleration is None,
-            f"{key} is aided by acceleration but does not say how",
+            f"{key} is aided by acceleration but has no acceleration settings",
             f'[{key}] acceleration = {{ model = "windowed", window = 3 }}',
         ),
         *(
             (
                 not {*measured_by} & {*aiding, *held_out},
-                f"{key} estimates {state}, and is aided by nothing that tells it",
-                f"{key}.aiding with {' or '.join(measured_by)}, or {key}.states without {state}",
+                f"{key} estimates {state}, but none of its sensors measures it",
+                f"add {' or '.join(measured_by)} to {key}.aiding, or remove {state} from {key}.states",
             )
             for state, measured_by in _MEASURED_BY.items()
             if state in filter_.states
@@ -524,7 +524,7 @@ def toml_value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # A JSON string is one in TOML too, but for the one control character that JSON leaves as it is.
+        # A JSON string is valid TOML, except for the one control character that JSON does not escape.
         return visible(msgspec.json.encode(value).decode().replace("\x7f", "\\u007f"))
     if isinstance(value, tuple | list):
         return f"[{', '.join(toml_value(item) for item in value)}]"
@@ -536,30 +536,30 @@ def toml_value(value: object) -> str:
 def check_start(
     initial: Initial, *, has_reference: bool, has_position: bool, has_attitude: bool, has_heading: bool = False
 ) -> None:
-    """Refuse settings that leave open where or how a filter starts, by what a reference gives, or a sensor."""
+    """Raise if settings, reference and sensors do not determine the start of a filter."""
     from_reference = initial.source == "reference"
     if from_reference and not has_reference:
         raise LogError(
             "no reference solution was found to start from",
-            "name it with --set reference.topic=... and its fields (a solution that is a filter is none), or start "
-            "level: --set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=..., or, where "
-            "the log has an AHRS, from its attitude: --set initial.source=sensor --set initial.latitude_deg=...",
+            "set reference.topic=... and its fields (a solution under [filters] is no reference); or start level: "
+            "--set initial.source=level --set initial.heading_deg=... --set initial.latitude_deg=...; or start from "
+            "an AHRS in the log: --set initial.source=sensor --set initial.latitude_deg=...",
         )
     if not has_position:
         start_latitude_deg(initial)
     if not (has_heading or (from_reference and has_attitude)) and initial.heading_deg is None:
-        by_track = ", or fit, by the track of its positions" if has_position else ""
+        by_track = ', or "fit", from the track of its positions' if has_position else ""
         raise ConfigError(
-            "the heading at the start is needed: no reference gives it, or initial.source is level, which takes none",
-            f"--set initial.heading_deg=... (or sensor, by an AHRS or a compass{by_track})",
+            'the heading at the start is needed: the reference has none, or initial.source = "level" ignores it',
+            f'--set initial.heading_deg=... (or "sensor", from an AHRS or a compass{by_track})',
         )
 
 
 def start_latitude_deg(initial: Initial) -> float:
-    """Return the latitude that the settings give, where no reference does."""
+    """Return the latitude of the settings, for a dive whose reference has no position."""
     if initial.latitude_deg is None:
         raise ConfigError(
-            "the latitude is needed for gravity and Earth rate, and no reference gives it",
+            "the latitude is needed for gravity and Earth rate, and there is no reference with a position",
             "--set initial.latitude_deg=...",
         )
     return initial.latitude_deg

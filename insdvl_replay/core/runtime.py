@@ -1,12 +1,12 @@
-"""What the program runs on: compiled code and its cache, threads, memory, and who listens to its progress.
+"""Compiled code and its cache, threads, memory, and reports of progress.
 
 numba notices a change in the file of a function, but not in the files of the functions that it calls. The cache
-therefore is in a folder named after the digest of all compiled sources: other sources, other folder.
+folder is therefore named after the digest of all compiled sources.
 
 Environment
 -----------
-INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. It is read where it cannot be
-    written, as in a container. The files are code: who can write them runs code in every process that loads them.
+INSDVL_REPLAY_CACHE : folder for compiled code; default ``~/.cache/insdvl-replay``. It may be read-only, as in a
+    container. The files are code: anyone who can write them can run code in every process that loads them.
 NUMBA_DISABLE_JIT=1 : run the same functions as plain Python, to step through them with a debugger.
 """
 
@@ -25,12 +25,12 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
-# Gets a stage, such as ``reading``, how many of its steps are done, and how many there are; 0 of 0 as it begins.
+# Called with a stage such as ``reading``, the number of steps done, and of all steps; 0 and 0 at its start.
 Listener = Callable[[str, int, int], None]
 
 _MANY_OBJECTS: Final = 200_000
 _COMPILED_SOURCES: Final = ("nav/*.py", "geometry/*.py", "core/runtime.py", "core/states.py")
-# Nobody calls the compiled functions from C; the compiler need not make entries for it.
+# No C code calls the compiled functions, so no C entry points are made.
 _NUMBA_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
@@ -38,18 +38,18 @@ _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 def prepare_process() -> None:
     """Set up a process that will replay dives, before numpy is imported.
 
-    The packages make some hundred thousand objects as they load, and all of them stay: to look for garbage at each
-    thousandth would take a tenth of a short run. Huge pages are asked for only if the user does: a virtual machine
-    waits long to have one from its host, and small pages come from what it still has.
+    The packages create some hundred thousand permanent objects at import. Collecting garbage at every thousandth would
+    take a tenth of a short run. Huge pages are slow to get from the host of a virtual machine, so they are off unless
+    the user asks for them.
     """
     gc.set_threshold(_MANY_OBJECTS)
     os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
 
 
 def return_freed_memory() -> None:
-    """Return to the system what was freed but is kept by glibc, some 80 MB after the reading of a long dive."""
+    """Return freed memory that glibc keeps to the system, about 80 MB after reading a long dive."""
     if sys.platform == "linux":
-        import ctypes  # not when the program starts, which needs none of it
+        import ctypes  # imported here: not needed at program start
 
         if (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
             trim(0)
@@ -60,10 +60,10 @@ def parallel_map(
 ) -> Generator[Result, None, None]:
     """Do the work on each item in threads, and yield the results in the order of the items.
 
-    The compiled filter and numpy's long loops leave the interpreter to other threads while they run. An exception or
-    an interruption ends it: what runs is finished, and nothing more is begun. As many run at a time as there are cores.
+    The compiled filter and numpy's long loops release the interpreter lock. After an exception or an interrupt, running
+    items are finished and no more are started. By default one thread per core is used.
     """
-    from concurrent.futures import ThreadPoolExecutor  # which brings logging
+    from concurrent.futures import ThreadPoolExecutor  # imports logging
 
     executor = ThreadPoolExecutor(jobs or os.cpu_count())
     try:
@@ -73,13 +73,13 @@ def parallel_map(
 
 
 def report_stage(stage: str) -> None:
-    """Report what begins, such as ``reading``, to whoever listens."""
+    """Report the start of a stage, such as ``reading``, to the listener."""
     if (listener := _listener.get()) is not None:
         listener(stage, 0, 0)
 
 
 def track_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
-    """Yield items, and report before each how many of them are done; work that converges may end before its last."""
+    """Yield items, and report before each how many are done. Work that converges may stop early."""
     for done, item in enumerate(items):
         if (listener := _listener.get()) is not None:
             listener(stage, done, len(items))
@@ -88,7 +88,7 @@ def track_progress(stage: str, items: Sequence[Item]) -> Iterator[Item]:
 
 @contextmanager
 def progress_listener(listener: Listener) -> Iterator[None]:
-    """Call a listener with the progress of all work inside the block. Other processes report to nobody."""
+    """Call a listener with the progress of all work inside the block. Other processes do not report."""
     token = _listener.set(listener)
     try:
         yield
@@ -112,14 +112,14 @@ def sources_digest(patterns: tuple[str, ...] = ("**/*",)) -> str:
 
 def cache_folder() -> Path:
     """Return the folder of the code that is compiled from these sources."""
-    from importlib.metadata import version  # which takes a tenth of the time of --help
+    from importlib.metadata import version  # takes a tenth of the time of --help
 
     base = os.environ.get("INSDVL_REPLAY_CACHE") or Path.home() / ".cache" / "insdvl-replay"
     return Path(base) / f"compiled-{sources_digest(_COMPILED_SOURCES)}-numba-{version('numba')}"
 
 
 def cache_problem() -> str:
-    """Return why each run has to compile the filter; empty where compiled code is there or can be kept."""
+    """Return why each run has to compile the filter; empty if compiled code is available or can be stored."""
     folder = cache_folder()
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
@@ -137,7 +137,7 @@ def is_warm() -> bool:
 
 @cache
 def _cache_class() -> Any:
-    """Return numba's cache in our folder. What it cannot read is compiled again; what it cannot write is not kept."""
+    """Return numba's cache in our folder. Unreadable code is compiled again; a failed write is ignored."""
     from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserProvidedCacheLocator
 
     class Locator(UserProvidedCacheLocator):
@@ -161,7 +161,7 @@ def _cache_class() -> Any:
         def load_overload(self: Any, sig: Any, target_context: Any) -> Any:
             try:
                 return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-            except Exception:  # a damaged pickle raises anything; without its index it is written again
+            except Exception:  # a damaged pickle can raise anything; without its index it is written again
                 with suppress(OSError):
                     self.flush()
                 return None
@@ -175,20 +175,20 @@ def _cache_class() -> Any:
 
 def compiled(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Compile a function that Python calls, on its first call, and keep the machine code on disk."""
-    import numba  # half a second, which nobody must wait for who only asks whether the cache is warm
+    import numba  # takes half a second, and `is_warm` does not need it
     from numba.core import config
 
     dispatcher: Any = numba.njit(**_NUMBA_OPTIONS)(function)
     if not getattr(config, "DISABLE_JIT", False):
-        dispatcher._cache = _cache_class()(function)  # what `cache=True` does
+        dispatcher._cache = _cache_class()(function)  # same as `cache=True`
     return cast(Callable[_P, _T], dispatcher)
 
 
 def inlined(function: Callable[_P, _T]) -> Callable[_P, _T]:
-    """Let a function become a part of the compiled ones that call it; where Python calls it, it is plain Python.
+    """Inline a function into the compiled functions that call it; called from Python, it is plain Python.
 
-    As calls, many of them would hand dozens of numbers over in memory, and the filter would take a quarter longer; with
-    entries for Python, it would take twice as long to compile.
+    As calls, many of them would pass dozens of numbers in memory, and the filter would be 25 % slower. With entry
+    points for Python, compilation would take twice as long.
     """
     from numba.extending import register_jitable
 

@@ -1,5 +1,5 @@
-"""Studies, which join the simulation, logs, filters and evaluation the way `replay` does.
+"""Studies with simulation, logs, filters and evaluation.
 
-`montecarlo` asks whether filters are as good as they say where the truth is known, `window` how many past velocities
-make the best acceleration, `observability` which errors the measurements of a dive cannot tell apart.
+`montecarlo` checks the consistency of filters against a known truth. `window` finds the number of past velocities for
+the best acceleration. `observability` finds the errors that the measurements of a dive cannot observe.
 """

@@ -1,4 +1,4 @@
-"""The Monte Carlo study: many simulated dives, and whether the filters' uncertainty is as large as their errors."""
+"""The Monte Carlo study: compare the filters' uncertainty with their errors over many simulated dives."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
@@ -42,30 +42,30 @@ from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors
 
 MATCHED: Final = "matched"
-"""The grade of an IMU, and of the DVL beside it, that errs exactly as the first filter expects."""
+"""The grade of IMU and DVL whose errors are exactly as the first filter assumes."""
 PICTURES: Final = {"navigation": STATES[:6], "biases": STATES[6:]}
-"""What the two pictures of a filter show."""
+"""The states in the two pictures of a filter."""
 SIGMA: Final = f"{filter_style(0)} {filter_style(1)}"
 """The dashes of the first filter in the blue of the second, as in the paper."""
 SETTLED: Final = 0.02
-"""Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
+"""Share of the dive after which the panel's limits hold everything; before, sigma may be fifty times as high."""
 FAR_ABOVE: Final = 10.0
-"""A NEES this many times above the interval is drawn on a logarithmic scale, which shows the others, too."""
+"""Ratio of NEES to the interval from which the scale is logarithmic, so that all curves are visible."""
 Outages = Sequence[tuple[float, float]]
-"""Spans (start_s, end_s) in which no beam finds the bottom."""
+"""Spans (start_s, end_s) without bottom track."""
 
 
-# --- One run: draw errors of the sensors and of the start, and see how far each filter is off.
+# --- One run: draw errors of sensors and start, and compute the errors of each filter.
 
 
 @dataclass(frozen=True)
 class MonteCarloSetup:
-    """What all runs of a study have in common."""
+    """The common part of all runs of a study."""
 
     exact: Dive  # with perfect sensors; reference and truth have a row at the start and at each ping
-    imu_errors: ImuErrors  # how large the errors are that each run draws
+    imu_errors: ImuErrors  # size of the errors of each run
     dvl_errors: DvlErrors
-    config: Config  # filters and the uncertainty of their start; its biases, scale, span and log are not used
+    config: Config  # filters and uncertainty of the start; biases, scale, span and log are not used
 
 
 def make_setup(
@@ -98,7 +98,7 @@ def matched_errors(config: Config) -> tuple[ImuErrors, DvlErrors]:
 
 
 def run_seed(seed: int, run: int) -> int:
-    """Return the seed of one run, from which it can be repeated without the others."""
+    """Return the seed of one run, to repeat it without the others."""
     return int(np.random.SeedSequence(seed, spawn_key=(run,)).generate_state(1)[0])
 
 
@@ -120,9 +120,9 @@ def simulated_run(setup: MonteCarloSetup, seed: int) -> tuple[RunErrors, ...]:
 
 
 def drawn_start(setup: MonteCarloSetup, seed: int) -> Start:
-    """Start where the exact dive does, off by what the configured initial uncertainty allows.
+    """Return the start of the exact dive with a random error from the configured initial uncertainty.
 
-    Biases are estimated as zero: how large they are is the sensors' part of the draw.
+    Biases start at zero: the true ones are drawn with the sensor errors.
     """
     if setup.exact.reference is None:
         raise ValueError("the filters start from the exact motion")
@@ -228,38 +228,35 @@ def repeat_run(
 
 
 def _asked(setup: MonteCarloSetup, imu: str, seed: int, outages: Outages) -> tuple[dict[str, Any], str, str]:
-    """Return what was asked, how long the dive is, and what was drawn."""
+    """Return the arguments, the duration, and a text on the random draws."""
     time_ns = setup.exact.imu.time_ns
     duration_s = float(time_ns[-1] - time_ns[0]) * 1e-9
     spans = ", ".join(f"{start_s:g} to {end_s:g} s" for start_s, end_s in outages)
     asked = {"scenario": setup.exact.name, "duration_s": duration_s, "imu": imu, "seed": seed}
-    drawn = f"IMU {imu}, seed {seed}{f', no bottom from {spans}' if spans else ''}"
+    drawn = f"IMU {imu}, seed {seed}{f', no bottom track from {spans}' if spans else ''}"
     return asked | {"outages": [list(outage) for outage in outages]}, f"{duration_s:g} s", drawn
 
 
-# --- For people.
+# --- Screen and pictures.
 
 
 def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
-    """State of each filter whether its uncertainty is right, and of each candidate whether it is better."""
+    """Yield a sentence on the consistency of each filter, and on the improvement of each candidate."""
     row: Any
     for row in tables["verdicts"].itertuples():
-        sentence = f"{row.filter} is {row.verdict}" + (f" ({row.why} of what is expected)" if row.why else "")
+        sentence = f"{row.filter} is {row.verdict}" + (f" ({row.why} of the expected value)" if row.why else "")
         if row.verdict == Consistency.INSUFFICIENT:
-            sentence = f"{row.filter}: too few runs to judge it"
+            sentence = f"{row.filter}: too few runs for a verdict"
         yield (
-            f"{sentence}; mean NEES {row.mean_nees:.4g} over {row.runs} runs, where 95 % of consistent filters have "
-            f"{row.low:.4g} to {row.high:.4g}; inside at {row.inside_pct:.0f} % of the pings"
+            f"{sentence}. Mean NEES {row.mean_nees:.4g} over {row.runs} runs, 95 % interval {row.low:.4g} to "
+            f"{row.high:.4g}; inside at {row.inside_pct:.0f} % of the pings"
         )
     baseline, *candidates = tables["verdicts"]["filter"]
     nine = tables["montecarlo"][tables["montecarlo"]["state"].isin([state.id for state in NINE])]
     for name in candidates:
         means = nine[nine["filter"] == name][["predicted_improvement_pct", "true_improvement_pct"]].mean()
         predicted, true = (f"{abs(mean):.1f} % {'smaller' if mean >= 0 else 'larger'}" for mean in means)
-        yield (
-            f"{name} believes in errors that are {predicted} than those of {baseline} in the mean over nine states; "
-            f"they are {true}"
-        )
+        yield (f"{name} against {baseline}, mean over nine states: predicted errors {predicted}, true errors {true}")
 
 
 def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
@@ -276,11 +273,11 @@ def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
     gains = [("prediction", "r", "predicted_improvement_pct:percent"), ("truth", "r", "true_improvement_pct:percent")]
     for name, rows in tables["montecarlo"].groupby("filter", sort=False):
         is_baseline = name == baseline
-        against = "" if is_baseline else f"; improvement over {baseline} in belief and truth"
-        title = f"Errors of {name} at the end, as believed and as they are{against}"
+        against = "" if is_baseline else f"; predicted and true improvement over {baseline}"
+        title = f"Predicted and true errors of {name} at the end{against}"
         yield table_of(title, rows, columns if is_baseline else columns + gains)
     yield table_of(
-        "NEES: mean over runs and pings, and where 95 % of consistent filters would have it",
+        "NEES: mean over runs and pings, with its 95 % interval",
         tables["verdicts"],
         (
             ("filter", "l", "filter"),
@@ -319,7 +316,7 @@ def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
         legend.append((filter_style(number), str(name)))
     far_above = nees["mean_nees"].max() > FAR_ABOVE * high
     panel = Panel("mean NEES", "time [s]", tuple(curves), (), (low, high), "log" if far_above else "linear")
-    caption = "Between the dashed lines lie 95 % of consistent filters."
+    caption = "Dashed lines: 95 % interval of a consistent filter."
     return Figure(title, caption, (panel,), (*legend, (LIMIT, "95 % interval")))
 
 
@@ -341,7 +338,7 @@ def ensemble_figure(
         panels.append(Panel(f"{state.label} [{state.unit}]", "time [s]", curves, y_limits=y_limits))
     return Figure(
         title,
-        "Where the sigma from P lies on that of the ensemble, the filter is as good as it says.",
+        "For a consistent filter, sigma from P is equal to that of the ensemble.",
         tuple(panels),
         ((SIGMA, "sigma from P"), (REFERENCE, "ensemble sigma"), (filter_style(2), "ensemble mean")),
     )

@@ -1,4 +1,4 @@
-"""The observability study: which errors at the start of a dive its measurements can tell apart, and which not."""
+"""The observability study: which errors at the start of a dive the measurements can observe, and which not."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -43,24 +43,24 @@ AIDING: Final = {
     "velocity + published": ("velocity", "published"),
     "velocity + windowed": ("velocity", "windowed"),
 }
-"""What each row of the study stacks: velocities, accelerations in either model, or both."""
+"""The measurements of each row of the study: velocities, accelerations in one of the models, or both."""
 NO_GATE: Final = 1.0
-"""Share of chi-square inside which every innovation lies."""
+"""Gate probability that accepts every innovation."""
 _NOTHING: Final = 1e-5
-"""Smaller components of a direction, in shown units next to a leading 1, are left out."""
+"""Smaller components of a direction, in shown units with a leading 1, are not printed."""
 _SMALLEST: Final = 1e-12
-"""Singular values are drawn down to this share of the largest; below is rounding."""
+"""Singular values are drawn down to this share of the largest; smaller ones are rounding errors."""
 _GROWN_PCT: Final = 101.0
-"""Of the prior, above which a state is said to have grown more uncertain; a bias alone wanders by less."""
+"""Percent of the prior above which a state counts as less certain; the walk of a bias alone is below it."""
 
 
 def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bool = True) -> Result:
-    """Analyse what velocities and accelerations tell about the errors at the start of a dive.
+    """Analyse the observability of the errors at the start of a dive from velocities and accelerations.
 
-    The motion around which the errors are linearised is that of the first filter: along a scenario, with perfect
-    sensors, it is the exact one. The process noise is that of the first filter, too. The initial uncertainty and the
-    noise of the settings are the units in which errors and signals count. Without ``earth_rate`` the Earth is flat and
-    at rest. A LogError or ConfigError where the log, the scenario or the settings cannot be used.
+    The errors are linearised around the motion of the first filter. In a scenario, with perfect sensors, this is the
+    exact motion. The process noise is that of the first filter. Errors are in units of the initial uncertainty, signals
+    in units of the configured noise. Without ``earth_rate`` the Earth is flat and
+    at rest. A LogError or ConfigError if the log, the scenario or the settings cannot be used.
     """
     dive, config = _dive(dive_or_scenario, config)
     start = prepare_with_heading(dive, config)
@@ -97,7 +97,7 @@ def study_observability(dive_or_scenario: str, config: Config, *, earth_rate: bo
 
 
 def _dive(dive_or_scenario: str, config: Config) -> tuple[Dive, Config]:
-    """Read the log, or make the scenario's exact dive, whose sensors have no scale and no biases to take out."""
+    """Read the log, or simulate the scenario's exact dive, with scale 1 and zero biases in the settings."""
     path = Path(dive_or_scenario)
     if path.exists():
         return with_reference_at_imu(read_checked_dive(path, config.without_solutions()), config), config
@@ -133,7 +133,7 @@ def _measurements(start: Prepared, config: Config) -> dict[str, Measurement]:
 
 def observability_tables(
     found: Mapping[str, Observability],  # by aiding
-    directions: tuple[ErrorDirection, ...],  # those that have a name
+    directions: tuple[ErrorDirection, ...],  # the named ones
     prior_sd: Floats,  # (12,), of the states at the start, SI units
     left_sd: Mapping[str, Floats],  # (12,), after the last ping, with process noise, by aiding
 ) -> dict[str, pd.DataFrame]:
@@ -146,7 +146,7 @@ def observability_tables(
     ``singular_values``: aiding, number, singular_value, left_without_noise_pct of the prior, and the direction's 12
     errors in shown units, as large as the prior.
     ``states``: aiding, state, unit, prior_sd, left_sd and left_pct of the prior after the last ping, with process
-    noise, and left_without_noise_pct, what would be left without of the errors at the start.
+    noise, and left_without_noise_pct, the remaining part of the start errors without process noise.
     """
     factors, ids = np.array([state.factor for state in STATES]), [state.id for state in STATES]
     ranks, seen, values, states = [], [], [], []
@@ -185,11 +185,11 @@ def observability_tables(
     }
 
 
-# --- For people.
+# --- Screen and pictures.
 
 
 def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
-    """State for each aiding its rank, which directions it cannot see, and which states it lets grow uncertain."""
+    """Yield for each aiding its rank, the unobservable directions, and the states that become less certain."""
     directions = tables["directions"]
     unobservable = directions[directions["status"] == DirectionStatus.UNOBSERVABLE]
     unseen = unobservable.groupby("aiding")["label"].agg(list)
@@ -205,7 +205,7 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
         gap = f", where the singular values fall by a factor of {row.gap:.0e}" if np.isfinite(row.gap) else ""
         yield f"{rank}{gap}; unobservable: {', '.join(names)}."
     for aiding, states in tables["states"].groupby("aiding", sort=False):
-        less = states[states["left_pct"] > _GROWN_PCT]  # which no rank shows
+        less = states[states["left_pct"] > _GROWN_PCT]  # not visible in the rank
         named = zip(less["state"], less["left_pct"], strict=True)
         if grown := "; ".join(f"{label(state)} ({left_pct:.0f} %)" for state, left_pct in named):
             yield f"{aiding}: with process noise, less certain after the last ping than at the start: {grown}."
@@ -214,47 +214,47 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
 
 
 def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:
-    """Lay out the directions, the singular values, and what is left of each state."""
+    """Yield the tables of the directions, the singular values, and the remaining uncertainty of each state."""
 
     def components(row: Mapping[str, float]) -> str:
         shown = [state for state in STATES if abs(row[state.id]) > _NOTHING]
         return ", ".join(f"{state.id} {number(row[state.id])} {state.unit}" for state in shown)
 
     yield table_of(
-        "Directions of error that have a name, at the start",
+        "Named directions of error at the start",
         tables["catalogue"],
-        (("direction", "l", "direction"), ("what it is", "l", "label"), ("made of", "l", components)),
+        (("direction", "l", "direction"), ("meaning", "l", "label"), ("components", "l", components)),
     )
     seen = tables["directions"]
     signal = seen["signal_to_noise"].map(number).where(seen["status"] != DirectionStatus.UNOBSERVABLE, MISSING)
     yield _by_aiding(
-        "How the directions are seen: signal to noise of an error as large as the prior",
+        "Signal to noise of each direction, for an error as large as the prior",
         seen.assign(text=signal),
         "direction",
         f"{MISSING}: unobservable",
     )
     values = tables["singular_values"]
     yield _by_aiding(
-        "Singular values: signal to noise of twelve directions at right angles",
+        "Singular values: signal to noise of twelve orthogonal directions",
         values.assign(text=values["singular_value"].map(number), number=values["number"].astype(str)),
         "number",
     )
     states = tables["states"].assign(state=tables["states"]["state"].map(label))
     yield _by_aiding(
-        "What is left of the prior standard deviation after the last ping, process noise included",
+        "Standard deviation after the last ping in percent of the prior, with process noise",
         states.assign(text=states["left_pct"].map(percent)),
         "state",
-        "Over 100 %: grown since the start, by process noise and by other errors",
+        "Over 100 %: larger than at the start, by process noise and other errors",
     )
     yield _by_aiding(
-        "What would be left of the errors at the start, were there no process noise",
+        "Remaining part of the errors at the start, without process noise",
         states.assign(text=states["left_without_noise_pct"].map(percent)),
         "state",
     )
 
 
 def _by_aiding(title: str, table: pd.DataFrame, key: str, footnote: str = "") -> DisplayTable:
-    """Lay the column ``text`` out with a row for each key and a column for each aiding."""
+    """Return a table of the column ``text`` with a row for each key and a column for each aiding."""
     aidings, keys = table["aiding"].unique(), table[key].unique()
     cells = table.pivot(index=key, columns="aiding", values="text").loc[keys, aidings]
     header = ("" if key == "number" else key, *(aiding.replace("+ ", "+\n") for aiding in aidings))
@@ -277,4 +277,6 @@ def singular_value_figure(title: str, values: pd.DataFrame, tolerance: float) ->
         y_scale="log",
         x_whole=True,
     )
-    return Figure(title, "Below the tolerance nothing is seen.", (panel,), (*legend, (LIMIT, "tolerance")))
+    return Figure(
+        title, "Directions below the tolerance are not observable.", (panel,), (*legend, (LIMIT, "tolerance"))
+    )

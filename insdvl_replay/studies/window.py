@@ -1,4 +1,4 @@
-"""The window study: how many velocities make the best acceleration, by the reference's."""
+"""The window study: the number of velocities for the best acceleration, compared with the reference."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,32 +29,32 @@ from insdvl_replay.show.document import number, table_of
 from insdvl_replay.show.plot import limits
 
 COMPENSATED, IGNORED, NO_ARM = "compensated", "ignored", "none"
-"""What was done about the lever arm between IMU and DVL; `NO_ARM` where the configuration has none."""
+"""Treatment of the lever arm between IMU and DVL; `NO_ARM` if the configuration has none."""
 _ARM: Final = {
     COMPENSATED: ("With the lever arm compensated", "arm comp.", "lever arm compensated"),
     IGNORED: ("With the lever arm ignored", "arm ignored", "lever arm ignored"),
     NO_ARM: ("Without a lever arm", "no arm", "no lever arm"),
 }
-"""How a sentence begins, a column is headed, and a panel is called."""
+"""Start of a sentence, title of a column, and title of a panel."""
 MIDDLE, END = "middle", "end"
-"""Where a slope is compared with the reference: at the mean time of its window, or at its last ping."""
+"""Time of the comparison with the reference: mean time of the window, or its last ping."""
 _STYLES: Final = {MIDDLE: filter_style(1), END: filter_style(0)}
 _ALONE: Final = "zero"
 POOLED: Final = "*"
-"""In place of the log in rows that pool several."""
+"""Name of the log in rows that pool several logs."""
 WINDOW_COLUMNS: Final = ["log", "n", "at", "lever_arm", "rmse_mps2", "samples"]
 LEFT_OUT: Final = "log_left_out"
 """Code of the note on a log that cannot be used."""
 Windows = tuple[pd.DataFrame, float, tuple[Note, ...]]
-"""Table of a dive, the seconds over which its reference is differentiated, and notes."""
+"""Table of a dive, the time in s over which its reference is differentiated, and notes."""
 
 
 def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jobs: int = 1) -> Result:
     """Compare the accelerations from 2 to ``longest`` velocities with the reference of each log.
 
-    The pause that starts a new window is that of the first filter that uses accelerations. With several logs, rows of
-    log ``*`` pool them. A log that cannot be used is left out, with a note. A LogError where none can be used, a
-    ConfigError where two logs share a name or the settings do not fit a log.
+    The gap that starts a new window is that of the first filter with accelerations. With several logs, rows of log
+    ``*`` pool them. A log that cannot be used is ignored, with a note. A LogError if none can be used, a ConfigError if
+    two logs have the same name or the settings do not fit a log.
     """
     names = [dive_name(path) for path in paths]
     for place, name in enumerate(names):
@@ -85,7 +85,7 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jo
         figures={"window": window_figure(windows)},
         notes=(
             *(note for dive_notes in notes for note in dive_notes),
-            *(Note(LEFT_OUT, f"{error.message}; left out", 1, Severity.WARNING, error.hint) for error in refused),
+            *(Note(LEFT_OUT, f"{error.message}; ignored", 1, Severity.WARNING, error.hint) for error in refused),
         ),
         config=config,
         arguments={"logs": names, "longest": longest},
@@ -96,12 +96,11 @@ def study_window(paths: Sequence[Path], config: Config, longest: int = 10, *, jo
 def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     """Compare the accelerations from 2 to ``longest`` velocities of one dive with its reference.
 
-    All windows are compared at the same pings, those whose longest window is whole, so that no number of velocities has
-    an easier dive than another.
+    All windows are compared at the same pings, those with a complete longest window, for a fair comparison.
     """
     if dive.reference is None or not (dive.reference.has_velocity and dive.reference.has_attitude):
         raise LogError(
-            f"{dive.name}: there is no reference with velocity and attitude to hold accelerations against",
+            f"{dive.name}: no reference with velocity and attitude, which the study needs",
             "name its topic, such as --set reference.topic=/ins/odometry",
         )
     reference = reference_as_configured(dive.reference, dive.imu, config)
@@ -112,13 +111,13 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     time_s = seconds(velocities.time_ns, velocities.time_ns[:1])
     windows = {n: slope_windows(time_s, n, 1, max_gap_s) for n in range(2, longest + 1)}
     expected_b = _expected(windows, velocities, reference, max_gap_s)
-    # A window over a long gap of the IMU is left out: there the lever arm's velocity is unknown.
+    # A window over a long IMU gap is ignored: the lever arm's velocity is unknown.
     first = np.maximum(np.arange(len(velocities.time_ns)) - longest + 1, 0)
     compared = windows[longest].complete & ~start.gaps.overlap(velocities.time_ns[first], velocities.time_ns)
     compared &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
     if not compared.any():
         raise LogError(
-            f"{dive.name}: none of {len(time_s)} pings ends a window of {longest} velocities without a pause above "
+            f"{dive.name}: no window of {longest} velocities, of {len(time_s)} pings, is free of gaps above "
             f"{max_gap_s:g} s in DVL and reference",
             f"shorten the windows, such as --longest {max(2, longest // 2)}",
         )
@@ -146,10 +145,9 @@ def _expected(
 
 
 def _velocities_at_imu(dive: Dive, velocities: DvlVelocities, mounting: DvlMounting) -> dict[str, Floats]:
-    """Take ``w x l`` out of the DVL's velocities, and leave it in.
+    """Return the DVL's velocities with ``w x l`` subtracted, and with it.
 
-    The gyro's rate is used in place of that against the Earth: the Earth's own moves a lever arm of a metre by
-    0.07 mm/s, and steadily.
+    The gyro's rate includes the Earth rate, which moves a lever arm of 1 m by a constant 0.07 mm/s.
     """
     lever_arm_b = mounting.lever_arm_b
     if not lever_arm_b.any():
@@ -175,25 +173,24 @@ def best_windows(table: pd.DataFrame) -> pd.DataFrame:
     return table.loc[least].reset_index(drop=True)
 
 
-# --- For people.
+# --- Screen and pictures.
 
 
 def _sentences(best: pd.DataFrame, differentiated_s: Sequence[float]) -> Iterator[str]:
-    """State which window is best, at its middle and at its end, and how fine the reference is."""
+    """Yield the best window at its middle and at its end, and the resolution of the reference."""
     for arm, rows in best[best["log"] == best["log"].iloc[0]].groupby("lever_arm", sort=False):
         middle, end = (rows[rows["at"] == at].iloc[0] for at in (MIDDLE, END))
         yield (
-            f"{_ARM[str(arm)][0]}, the acceleration is nearest the reference's from {middle['n']} velocities at "
-            f"the middle of their window, {number(middle['rmse_mps2'])} m/s^2 rms, and from {end['n']} at its end, "
-            f"{number(end['rmse_mps2'])} m/s^2 rms."
+            f"{_ARM[str(arm)][0]}, {middle['n']} velocities give the best acceleration at the middle of their window, "
+            f"{number(middle['rmse_mps2'])} m/s^2 rms, and {end['n']} at its end, {number(end['rmse_mps2'])} m/s^2 rms."
         )
     shortest_s, longest_s = min(differentiated_s), max(differentiated_s)
     over = f"{shortest_s:.3g} s" if longest_s - shortest_s < 0.01 else f"{shortest_s:.3g} to {longest_s:.3g} s"
-    yield f"The reference's acceleration is a difference of velocities over {over}; what is faster it misses."
+    yield f"The reference's acceleration is a difference of velocities over {over}. It misses faster changes."
 
 
 def _display(windows: pd.DataFrame, best: pd.DataFrame) -> Iterator[DisplayTable]:
-    """Lay out the errors by number of velocities, and the optima of each log."""
+    """Yield the tables of errors by number of velocities, and of the best windows of each log."""
     first = windows[windows["log"] == windows["log"].iloc[0]]
     cells = first.pivot(index="n", columns=["lever_arm", "at"], values="rmse_mps2").map(number)
     kinds = list(first[["lever_arm", "at"]].drop_duplicates().itertuples(index=False, name=None))
@@ -204,7 +201,7 @@ def _display(windows: pd.DataFrame, best: pd.DataFrame) -> Iterator[DisplayTable
         tuple((str(n), *texts) for n, *texts in cells[kinds].itertuples(name=None)),
     )
     yield table_of(
-        "The number of velocities with the least error",
+        "Number of velocities with the smallest error",
         best,
         (
             ("log", "l", "log"),
@@ -241,6 +238,6 @@ def window_figure(windows: pd.DataFrame) -> Figure:
         )
     legend = [(style, f"{at} of the window") for at, style in _STYLES.items()]
     if windows["log"].nunique() > 1:
-        legend.append((_ALONE, "each log alone"))
-    caption = "Dots: the number of velocities with the least error."
+        legend.append((_ALONE, "single logs"))
+    caption = "Dots: number of velocities with the smallest error."
     return Figure("Acceleration errors by the number of velocities", caption, tuple(panels), tuple(legend))

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from insdvl_replay.changes.cells import judge_number, prints_alike, rank_verdict
+from insdvl_replay.changes.cells import judge_number, prints_the_same, rank_verdict
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
 from insdvl_replay.core.tables import Better
 from insdvl_replay.show.document import number, percent
@@ -75,16 +75,16 @@ def test_exchanging_old_and_new_exchanges_better_and_worse(
 def test_numbers_that_print_the_same_are_the_same(value: float, factor: float) -> None:
     other = value * factor
     if number(value) == number(other):
-        assert prints_alike(value, other, "sd")
+        assert prints_the_same(value, other, "sd")
     if percent(value) == percent(other):
-        assert prints_alike(value, other, "improvement_pct")
+        assert prints_the_same(value, other, "improvement_pct")
 
 
 @given(st.floats(1e-4, 1e6))
 def test_numbers_that_print_two_digits_apart_are_not_the_same(value: float) -> None:
     unit = 10.0 ** (math.floor(math.log10(1.01 * value)) - 3)
-    assert not prints_alike(value, value + 2.0 * unit, "sd")
-    assert not prints_alike(value, value + 0.2, "improvement_pct")
+    assert not prints_the_same(value, value + 2.0 * unit, "sd")
+    assert not prints_the_same(value, value + 0.2, "improvement_pct")
 
 
 @pytest.mark.parametrize(

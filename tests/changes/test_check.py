@@ -105,7 +105,7 @@ def test_one_failed_is_1_and_says_the_number_and_its_limit(team: Path) -> None:
     assert done.returncode == 1
     first, reason, *_ = done.stdout.splitlines()
     assert first.split() == ["FAILED", "outage:", *NAME.split(), "fully"]
-    assert re.fullmatch(r" +improvement aided ba_z: improvement_pct .*\d\.\d+ %.* 99 .*", reason)
+    assert re.fullmatch(r" +improvement aided ba_z: improvement_pct .*\d\.\d+ %.* 99", reason)
     last = done.stderr.splitlines()[-1]
     assert last.startswith("error: ")
     assert counts(last)[:4] == [2, 2, 2, 2]
@@ -374,7 +374,7 @@ def test_a_gate_may_hold_for_a_share_of_the_dives(team: Path) -> None:
     assert check(team, gate).returncode == 1
     half = check(team, gate + "share_of_dives_pct = 50\n")
     assert half.returncode == 0
-    assert re.search(r"\b1 of 2 dives, 50 %", half.stdout)
+    assert re.search(r"\b1 of 2 dives, .*50 %", half.stdout)
     assert check(team, gate + "share_of_dives_pct = 51\n").returncode == 1
 
 

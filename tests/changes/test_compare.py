@@ -379,7 +379,7 @@ def place(tmp_path: Path) -> Path:
         (["old", "stranger"], 2, r"\(aided\) .*\(tuned\)"),
         (["old", "stranger", "--pair", "aided"], 2, "--pair aided: "),
         (["old", "stranger", "--pair", "aded=tuned"], 2, "'aded' .*hint: .*aided"),
-        (["more", "other"], 2, "dive, second .*one, two"),
+        (["more", "other"], 2, "dive, second.*one, two"),
         (["old", "absent"], 2, "absent: "),
         (["old", "a" * 5000], 2, "a: "),
         (["old", "empty"], 2, "empty: "),
@@ -612,7 +612,7 @@ def test_in_brief_a_smaller_nis_is_not_called_better(tmp_path: Path) -> None:
     row = evidence_row(0.002) | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
     old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
     comparison = only_changed(compared(tmp_path, old, new))
-    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS off 1" in line]
+    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS distance from 1" in line]
     assert line.endswith("| +10.0 % | worse |")
 
 

@@ -97,7 +97,7 @@ def test_filters_and_times_that_are_not_the_same_never_pass() -> None:
     assert [told.split(":")[0] for told in sentences(BASELINE, new, one)] == ["aided"]
     assert [told.split(":")[0] for told in sentences(BASELINE, one, new)] == ["aided"]
     [first, _] = sentences(BASELINE, made(399), old)
-    assert re.fullmatch(r"baseline: 399 .* 400 .*", first)
+    assert re.fullmatch(r"baseline: .*399 .* 400 .*", first)
     assert sentences(BASELINE, made()) == []
     gone = trajectory_findings(BASELINE, None, made())
     assert [finding.passed for finding in gone] == [False]

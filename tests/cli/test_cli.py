@@ -115,7 +115,7 @@ def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[st
     assert [line.split()[0] for line in text.split("Commands:\n")[1].strip().split("\n")] == list(
         dict.fromkeys(name.split()[0] for name in DOCUMENTED)
     )
-    for code in ("0 done", "1 a limit", "2 usage", "3 a log", "4 a", "130 interrupted"):
+    for code in ("0 done", "1 a limit", "2 usage", "3 a log", "4 internal error", "130 interrupted"):
         assert code in text
 
 
@@ -338,7 +338,7 @@ def test_our_error_is_exit_4_and_shows_its_place_only_when_asked(
     assert run_command_line(["run", str(dive), "-o", str(tmp_path), *flags]) == 4
     err = capsys.readouterr().err
     assert ("Traceback" in err) is traceback
-    assert re.search(r"error: .*insdvl-replay.*: ZeroDivisionError: a slip; hint: ", err)
+    assert re.search(r"error: internal error: ZeroDivisionError: a slip; hint: ", err)
 
 
 def test_a_reader_that_goes_away_ends_the_printing_not_the_work(dive: Path, tmp_path: Path) -> None:

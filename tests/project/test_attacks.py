@@ -52,7 +52,7 @@ def ended(code: int, said: str = "", peak_mb: float = 300.0) -> victim.Ended:
         (ended(3, "warning: a\nerror: dive: no IMU was found in it\n"), "ok"),
         (ended(3, "error: dive: no IMU in /a\nb was found\n"), "no sentence"),
         (ended(3), "no sentence"),
-        (ended(4, "error: this is a mistake in insdvl-replay: KeyError: 1\n"), "exit 4"),
+        (ended(4, "error: internal error: KeyError: 1\n"), "exit 4"),
         (ended(1, "Traceback (most recent call last):\nKeyError: 1\n"), "traceback"),
         (ended(-signal.SIGBUS), "killed by signal"),
         (ended(-signal.SIGALRM), "hang"),
