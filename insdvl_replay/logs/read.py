@@ -120,17 +120,18 @@ def source_notes(sources: Sequence[Source]) -> Iterator[Note]:
             if channel.schema_encoding != "ros2idl"
         }
         missing = {name for type_name, text in texts for name in missing_types(type_name, text)}
-        lacking = f" of {', '.join(sorted(missing))}; what comes with the tool" if missing else ""
+        lacking = ", ".join(sorted(missing))
         if not all(channel.schema_text.strip() for channel in source.channels):
-            lacking = f"; that of {source.type_name}"
+            lacking = source.type_name
         if lacking:
-            yield Note("builtin_definition", f"{source.topic}: the log has no schema{lacking} was assumed")
+            text = f"{source.topic}: the log has no schema of {lacking}; the definition of this tool is used"
+            yield Note("builtin_definition", text)
     of_reference = {source.topic for source in sources if source.role == "reference"}
     for source in sources:
         name = solution_name(source.role)
         if name is not None and source.topic in of_reference:
-            text = f"{source.role} is read from messages of {source.topic}, as the reference is, and may know of it"
-            hint = "reference.topic and reference.fix name what it is to be judged by"
+            text = f"{source.role} and the reference are both from {source.topic}, so they may not be independent"
+            hint = "to judge it by another reference: reference.topic and reference.fix"
             yield Note(f"solution_{name}{IS_REFERENCE}", text, 1, Severity.WARNING, hint)
 
 
@@ -142,14 +143,13 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
         announced = sum(channel.messages for channel in source.channels)
         found = len(table) + table.others + table.duplicates + unreadable
         if announced != found:
-            text = f"{source.topic}: the log announces {announced} messages, and {found} are found"
+            text = f"{source.topic}: the log announces {announced} messages, but {found} were found"
             missing.append(Note("messages_missing", text, abs(announced - found), Severity.WARNING, COPY_AGAIN))
         if unreadable and table.fault is not None:
             behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
             text = (
-                f"{source.topic}: {unreadable} messages cannot be read and are left out, the first "
-                f"{behind_s.min():.3f} s and the last {behind_s.max():.3f} s behind the first that can: "
-                f"{table.fault.message}"
+                f"{source.topic}: {unreadable} messages cannot be read and are left out, from {behind_s.min():.3f} s "
+                f"to {behind_s.max():.3f} s after the first readable one: {table.fault.message}"
             )
             left_out.append(Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN))
         if table.duplicates:
@@ -159,7 +159,7 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
 
 
 def stamp_notes(tables: Iterable[Table]) -> Iterator[Note]:
-    """Note how stamps that are mere numbers were understood."""
+    """Note the unit of stamps that are plain numbers."""
     for table in tables:
         if (numbers := table.stamp_numbers) is not None:
             unit = stamp_unit(numbers, table.columns["log_time"][:, 0])[1]
@@ -244,8 +244,8 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
             for source, other in product(sources, reference.sources):
                 shared = [path for quantity, path in source.fields.items() if other.fields.get(quantity) == path]
                 if other.topic == source.topic and shared:
-                    text = f"{source.role} reads {shared[0]} of topic '{source.topic}', which is the reference"
-                    hint = "reference.topic and reference.fix name what it is to be judged by"
+                    text = f"{source.role} and the reference read the same field, {shared[0]} of '{source.topic}'"
+                    hint = "to judge it by another reference: reference.topic and reference.fix"
                     raise LogError(f"{text}: its error would be 0", hint)
             return sources
 
@@ -269,7 +269,7 @@ def idle_sensors(
 def _explained(
     topics: Topics, required: TopicRequirement, look: Callable[[], tuple[Source, ...]], besides: Collection[str] = ()
 ) -> Finding:
-    """Say why these sources, or why none: of the topics that could each be it, those that can be read are given."""
+    """Return the sources of a role, or the reason why there are none and the readable topics that are possible."""
     possible = topics.candidates(required, besides) if required.topic is None else []
 
     def readable() -> Iterator[Source]:
@@ -282,16 +282,16 @@ def _explained(
             sources = look()
     except LogError as error:
         candidates = tuple(readable())
-        reason = "see what stops a replay"
+        reason = "see the blockers"
         if candidates:
-            reason = f"{', '.join(source.topic for source in candidates)} could each be it"
+            reason = f"possible topics: {', '.join(source.topic for source in candidates)}"
         elif required.topic is None and not possible:
             reason = topics.reason_for_none
         return Finding(required.role, (), reason, error, candidates)
     if not sources:
         return Finding(required.role, (), topics.reason_for_none)
     named = required.topic is not None
-    return Finding(required.role, sources, f"named by {required.key}" if named else "by type, which no other topic has")
+    return Finding(required.role, sources, f"set by {required.key}" if named else "the only topic of a known type")
 
 
 def _references(topics: Topics, config: Config, besides: Collection[str]) -> tuple[Source, ...]:

@@ -224,7 +224,7 @@ def test_topics_beyond_what_is_looked_at_are_named(tmp_path: Path, monkeypatch: 
     )
     [note] = [note for note in inventory.notes if note.code == "topics_not_looked_at"]
     assert note.count == 1
-    assert note.text.endswith("for a proposal: /topic2")
+    assert note.text.endswith(": /topic2")
 
 
 @pytest.mark.parametrize("kind", ["zstd", "no chunks"])

@@ -133,39 +133,41 @@ ALTERED = "flip without chunks"
 """Here no message is lost, and one is not what it was; no checksum tells which."""
 
 MATRIX = {
-    "cut in the middle": Case("zstd", partial(cut_at, 0.5), "without the closing bytes", 330, 200),
-    "cut in an lz4 chunk": Case("lz4", cut_chunk, "without the closing bytes", 330, 200),
-    "cut in an open chunk": Case("bare", cut_chunk, "without the closing bytes", 330, 200),
-    "cut without chunks": Case("no chunks", partial(cut_at, 0.5), "without the closing bytes", 330, 200),
+    "cut in the middle": Case("zstd", partial(cut_at, 0.5), "closing bytes are missing", 330, 200),
+    "cut in an lz4 chunk": Case("lz4", cut_chunk, "closing bytes are missing", 330, 200),
+    "cut in an open chunk": Case("bare", cut_chunk, "closing bytes are missing", 330, 200),
+    "cut without chunks": Case("no chunks", partial(cut_at, 0.5), "closing bytes are missing", 330, 200),
     "zeros at the start": Case("zstd", partial(changed, place=0, new=bytes(9_000)), "the opening bytes", 180, 20),
-    "closing bytes missing": Case("zstd", lambda data: data[:-8], "without the closing bytes", 0),
-    "cut behind the start": Case("zstd", nothing_but_a_start, "without the closing bytes", MESSAGES, MESSAGES),
-    "zero tail": Case("zstd", zero_tail, "without the closing bytes", 330, 200),
+    "closing bytes missing": Case("zstd", lambda data: data[:-8], "closing bytes are missing", 0),
+    "cut behind the start": Case("zstd", nothing_but_a_start, "closing bytes are missing", MESSAGES, MESSAGES),
+    "zero tail": Case("zstd", zero_tail, "closing bytes are missing", 330, 200),
     "zeros inside": Case("zstd", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
     "zeros inside, without chunks": Case("no chunks", zeros_inside, "kind|chunk", 3 * CHUNKFUL, 20),
-    "zeros appended": Case("zstd", zeros_appended, "without the closing bytes", 0),
+    "zeros appended": Case("zstd", zeros_appended, "closing bytes are missing", 0),
     "flip in a zstd chunk": Case("zstd", flip_payload, "chunk", CHUNKFUL, 20),
     "flip in an lz4 chunk": Case("lz4", flip_payload, "chunk", CHUNKFUL, 20),
     "flip in an open chunk": Case("uncompressed", flip_payload, "checksum of a chunk", CHUNKFUL, 20),
-    "flip in a chunk's kind": Case("zstd", partial(flip_in, CHUNK, 3, 0), "an index is behind no chunk", CHUNKFUL),
+    "flip in a chunk's kind": Case("zstd", partial(flip_in, CHUNK, 3, 0), "an index does not follow a chunk", CHUNKFUL),
     ALTERED: Case("no chunks", partial(flip_in, MESSAGE, 30, 200), "checksum of all messages", MESSAGES, 0),
     "unknown compression": Case(
         "zstd", partial(in_record, CHUNK, 2, INSIDE - 4, b"brot"), "compressed with 'brot'", CHUNKFUL, 20
     ),
-    "chunk length too long": Case("zstd", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "kind|names a chunk", CHUNKFUL),
+    "chunk length too long": Case(
+        "zstd", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "kind|summary has a chunk", CHUNKFUL
+    ),
     "chunk length too long, no summary": Case(
         "no summary", partial(in_record, CHUNK, 2, 1, b"\xff\xff"), "bytes", CHUNKFUL
     ),
     "chunk says it is huge, no summary": Case("no summary", partial(lying_size, 1 << 40), "says it opens", CHUNKFUL),
     "chunk says it is small": Case("zstd", partial(lying_size, 10), "opens to more than 10 bytes", CHUNKFUL, 20),
-    "flip in an index's channel": Case("zstd", partial(flip_in, INDEX, 4, 9), "do not name its messages", 0),
+    "flip in an index's channel": Case("zstd", partial(flip_in, INDEX, 4, 9), "do not agree with its messages", 0),
     "flip in an index's length": Case("zstd", partial(flip_in, INDEX, 4, 11), "says it has 344 bytes", 0),
-    "index points elsewhere": Case("zstd", partial(flip_in, INDEX, 4, 24), "do not name its messages", 0),
+    "index points elsewhere": Case("zstd", partial(flip_in, INDEX, 4, 24), "do not agree with its messages", 0),
     "flip in the chunk index": Case("zstd", partial(flip_in, CHUNK_INDEX, 2, 30), "checksum of the summary", 0),
     "chunk index points elsewhere": Case(
         "zstd",
         partial(with_right_checksum, partial(flip_in, CHUNK_INDEX, 2, 9 + 16)),
-        "names a chunk where none is found",
+        "summary has a chunk here, but there is none",
         0,
     ),
     "footer of another kind": Case("zstd", partial(flip_in, FOOTER, 0, 0), "kind 10 are no record", 0),
@@ -174,7 +176,7 @@ MATRIX = {
     ),
     "end of messages of another kind": Case("zstd", partial(flip_in, DATA_END, 0, 0), "kind 7 are no record", 0),
     "chunk taken out": Case("zstd", chunk_taken_out, "summary", CHUNKFUL, 20),
-    "message of an unknown channel": Case("bare", foreign_channel, "do not name its messages of channel 999", 1),
+    "message of an unknown channel": Case("bare", foreign_channel, "do not agree with its messages of channel 999", 1),
     "message of an unknown channel, without chunks": Case(
         "no chunks, no checksums",
         partial(in_record, MESSAGE, 40, 9, struct.pack("<H", 999)),
@@ -183,7 +185,7 @@ MATRIX = {
         1,
     ),
     "message too long in a chunk": Case("bare", partial(wrong_length_in_chunk, 400), "in the chunk", 2, 1),
-    "messages of no known kind in a chunk": Case("bare", of_no_known_kind, "do not name its messages", 2, 2),
+    "messages of no known kind in a chunk": Case("bare", of_no_known_kind, "do not agree with its messages", 2, 2),
     "channel that cannot be parsed": Case(
         "no chunks, no checksums", partial(in_record, CHANNEL, 0, 9 + 4, b"\xff" * 4), "cannot be parsed", 0
     ),
@@ -272,7 +274,7 @@ def test_a_chunk_is_reported_once_however_many_channels_its_indexes_leave_out(tm
     log, found = everything(path, allow_damaged=True)
     assert len(found) == MESSAGES
     [note] = [note for note in log.notes if note.code == "log_damaged"]
-    assert "the indexes of a chunk do not name its messages of channel 3, 4" in note.text
+    assert "the indexes of a chunk do not agree with its messages of channel 3, 4" in note.text
     assert "no messages are lost" in note.text
 
 

@@ -44,4 +44,4 @@ def test_files_that_follow_one_another_are_named_and_no_more(files: list[Path]) 
 def test_files_that_overlap_are_reported_with_the_longest_overlap(files: list[Path]) -> None:
     files.append(write_part(files[0].with_name("c.mcap"), lambda topic, time_s: topic != "/dvl" and time_s > 1.0))
     notes = {note.code: note for note in Recording(files[0], files).notes}
-    assert notes["files_overlap"].text == "2 files begin before those before them end, by up to 2.990 s"
+    assert notes["files_overlap"].text == "2 files overlap with the file before, by up to 2.990 s"

@@ -231,7 +231,7 @@ def test_beam_vectors_that_cannot_be_true_are_replaced(vectors: Any, sentence: s
     assert dive.dvl.beam_vectors_d is not None
     np.testing.assert_allclose(dive.dvl.beam_vectors_d, expected, atol=1e-15)
     assert counts(dive) == {"dvl_beam_contradiction": 5}
-    with pytest.raises(ConfigError, match="has 4 beams, and the geometry 3"):
+    with pytest.raises(ConfigError, match="has 4 beams, but the geometry has 3"):
         read_dive(path, Config(dvl=Dvl(beam_azimuth_deg=(0.0, 120.0, 240.0))))
 
 

@@ -73,7 +73,7 @@ def test_losses_of_each_role_are_counted(share: float, dive: Dive, tmp_path: Pat
         before, after = (getattr(whole, role).time_ns.size for whole in (dive, fewer))
         note = notes[f"{role}_lost_samples"]
         assert (note.count, note.severity) == (before - after, "warning")
-        assert f"{note.count} samples, {100.0 * note.count / before:.2g} % of all, are not in the log" in note.text
+        assert f"{note.count} samples, {100.0 * note.count / before:.2g} % of all, are missing" in note.text
 
 
 @pytest.mark.parametrize(("share", "jitter"), [(0.005, 0.02), (0.01, 0.0), (0.2, 0.02), (0.6, 0.0), (0.6, 0.02)])

@@ -76,5 +76,7 @@ def test_files_of_one_dive_are_read_together(times: list[int]) -> None:
 def test_files_whose_messages_are_among_each_other_are_two_dives() -> None:
     times = [0.0, 1.0, 2.0, 3.0, 4.0, 0.5, 1.5, 2.5, 3.5, 4.5]
     table = replace(small_table(times), files=np.repeat([0, 1], 5))
-    with pytest.raises(LogError, match=r"in the 3\.500 s in which the files overlap, 4 messages of one lie among 4"):
+    with pytest.raises(
+        LogError, match=r"in the 3\.500 s in which the files overlap, one has 4 messages and the others 4"
+    ):
         raise_if_two_dives(table, nanoseconds(times))

@@ -65,7 +65,7 @@ def test_messages_that_do_not_fit_are_refused_or_left_out(harm: Harm, tmp_path: 
     [note] = [note for note in dive.notes if note.severity == "warning"]
     assert (note.code, note.count) == ("messages_unreadable", 3)
     first_s, last_s = ((whole.imu.time_ns[row] - START_NS) * 1e-9 for row in (rows[0], rows[-1]))
-    assert f"the first {first_s:.3f} s and the last {last_s:.3f} s behind the first that can" in note.text
+    assert f"from {first_s:.3f} s to {last_s:.3f} s after the first readable one" in note.text
 
 
 def test_inspect_says_that_a_replay_would_stop(tmp_path: Path) -> None:

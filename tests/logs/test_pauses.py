@@ -26,13 +26,13 @@ def test_regular_samples_have_no_pauses(steps_s: list[float]) -> None:
 def test_a_gap_is_several_steps_and_no_warning_while_it_is_allowed() -> None:
     (note,) = notes_of(note_gaps, [*[0.01] * 50, 0.5, *[0.01] * 50], 1.0)
     assert (note.code, note.count, note.severity, note.hint) == ("imu_gaps", 1, Severity.INFO, "")
-    assert "the longest of 0.500 s, 0.500 s in all; 0 longer than 1 s" in note.text
+    assert "longest 0.500 s, total 0.500 s; 0 longer than 1 s" in note.text
 
 
 def test_a_gap_longer_than_allowed_is_a_warning_with_the_key() -> None:
     (note,) = notes_of(note_gaps, [*[0.01] * 50, 2.0, 0.5, *[0.01] * 50], 1.0)
     assert (note.count, note.severity) == (2, Severity.WARNING)
-    assert note.hint.startswith("imu.max_gap_s")
+    assert "imu.max_gap_s" in note.hint
     assert note.text.endswith("; the first 0.500 s after the first message")
 
 

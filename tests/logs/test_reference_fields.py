@@ -102,8 +102,8 @@ def test_fields_give_what_a_known_type_gives(rows: Rows, named: list[str], dive:
 @pytest.mark.parametrize(
     ("named", "sentence", "hint"),
     [
-        (["latitude=lat"], "gives latitude without longitude", "reference.longitude"),
-        (["roll=r", "heading=h"], "gives heading and roll without pitch", "reference.pitch"),
+        (["latitude=lat"], "has latitude, but no longitude", "reference.longitude"),
+        (["roll=r", "heading=h"], "has heading and roll, but no pitch", "reference.pitch"),
         (["latitude=lat", "longitude=lon", "angle_unit=rad"], "latitudes are beyond the poles", "reference.angle_unit"),
         (["latitude=lat", "longitude=lom"], "lom", "lon"),
     ],

@@ -112,7 +112,7 @@ def test_fields_that_a_schema_lacks_are_done_without(read: Callable[..., Dive]) 
     dive = read([water_linked(0.0), water_linked(0.2)], **{WATER_LINKED: older})
     np.testing.assert_array_equal(dive.dvl.time_ns, START_NS + np.array([100_000_000, 300_000_000]))
     without = definition_text(WATER_LINKED).replace("velocity\n", "speed\n")
-    with pytest.raises(LogError, match=r"is of type dvl_msgs/msg/DVL, and its schema lacks some of velocity") as raised:
+    with pytest.raises(LogError, match=r"is of type dvl_msgs/msg/DVL, but its schema lacks some of velocity") as raised:
         read([water_linked(0.0), water_linked(0.2)], **{WATER_LINKED: without})
     assert 'dvl.velocity = "field.path"' in raised.value.hint
 
@@ -138,7 +138,7 @@ def test_three_beams_need_a_geometry_and_then_serve(read: Callable[..., Dive]) -
     pings = [nucleus(0.0), nucleus(0.5, beam_2_velocity_valid=False), nucleus(1.0, y_velocity_valid=False)]
     by_velocity = read(pings)
     np.testing.assert_array_equal(by_velocity.dvl.velocity_d, [[0.5, 0.25, 0.0], [0.5, 0.25, 0.0625]])
-    with pytest.raises(ConfigError, match="has 3 beams, and the geometry 4") as raised:
+    with pytest.raises(ConfigError, match="has 3 beams, but the geometry has 4") as raised:
         read(pings, Config(dvl=Dvl(kind="beams")))
     assert "dvl.beam_azimuth_deg" in raised.value.hint
     settings = Dvl(kind="beams", beam_tilt_deg=20.0, beam_azimuth_deg=(0.0, 120.0, 240.0))
@@ -164,7 +164,7 @@ def test_coordinates_decide_what_the_raw_velocities_of_deep_submergence_mean(rea
 
 def test_flags_and_velocities_that_do_not_fit_are_refused(read: Callable[..., Dive]) -> None:
     settings = Dvl(beam_valid="velocity_valid")
-    with pytest.raises(LogError, match="has 4 beam velocities and 1 flags of their validity"):
+    with pytest.raises(LogError, match="has 4 beam velocities, but 1 validity flags"):
         read([water_linked(0.0), water_linked(0.2)], Config(dvl=settings))
 
 

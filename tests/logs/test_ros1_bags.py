@@ -120,7 +120,7 @@ def test_a_bag_that_was_not_closed_is_read_with_a_note(bag: Path, whole: Dive) -
     dive = read_dive(bag, Config())
     assert_same(dive, whole)
     [note] = [note for note in dive.notes if note.severity == "warning"]
-    assert note.text == "dive.bag was not closed by its recorder: what came last may be missing"
+    assert note.text == "dive.bag was not closed by its recorder: the last messages may be missing"
     log = open_recording(bag)
     assert log.log_times().keys() == {channel.id for channel in log.channels}
 
@@ -202,17 +202,17 @@ DEPTHS = connection(0) + message(0, 1, 0, bytes(8))
         (chunk(DEPTHS, "bz2", size=1 << 27), "says it opens to 134217728"),
         (chunk(DEPTHS, "xz"), "compressed with 'xz'"),
         (record({"op": b"\5", "compression": b"bz2", "size": b"\1\0\0\0"}, b"no bz2"), "cannot be decompressed"),
-        (chunk(message(7, 1, 0, bytes(8))), "of connection 7, which is nowhere described"),
+        (chunk(message(7, 1, 0, bytes(8))), "of connection 7, which is not defined"),
         (chunk(DEPTHS) + chunk(connection(0, "/other")), "connection 0 is not the same in two places"),
         (chunk(DEPTHS[:-1]), "in the chunk, "),
         (
             chunk(DEPTHS) + record({"op": b"\4", "conn": bytes(4), "count": b"\2\0\0\0"}, bytes(12)),
-            "does not have the 1 entries that it says",
+            "does not have its 1 entries",
         ),
         (chunk(record({"op": b"\2"}, b"")), "no field 'time' of 8 bytes"),
         (chunk(b"\xff" * 40), "a record says its header has 4294967295 bytes"),
-        (message(0, 1, 0, b""), "a record of kind 2 is where none belongs"),
-        (b"\x08\0\0\0\7\0\0\0abcd\0\0\0\0", "is none of named fields"),
+        (message(0, 1, 0, b""), "a record of kind 2 is in the wrong place"),
+        (b"\x08\0\0\0\7\0\0\0abcd\0\0\0\0", "has no named fields"),
         (b"\0" * 5, "5 bytes are left where a record needs at least 8"),
         (record({"op": b"\3", "encryptor": b"rosbag/AesCbcEncryptor"}, b""), "is encrypted"),
         (record({"op": b"\3"}, b""), "the bag has 2 headers"),

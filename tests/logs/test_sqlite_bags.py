@@ -103,7 +103,7 @@ def test_messages_that_are_compressed_one_by_one_are_named(tmp_path: Path) -> No
         store = get_typestore(Stores.ROS2_HUMBLE)
         for topic in ("/imu", "/dvl"):
             writer.add_connection(topic, "sensor_msgs/msg/Imu", typestore=store)
-    assert "each message is compressed for itself" in refusal(folder)
+    assert "each message is compressed separately" in refusal(folder)
 
 
 def test_nothing_is_written_where_nothing_may_be(iron: Path, whole: Dive, tmp_path: Path) -> None:
@@ -188,9 +188,9 @@ ENDLESS = f"{RECURSION} SELECT i AS id, 1 AS topic_id, i AS timestamp, zeroblob(
             "without the table 'messages'",
         ),
         ("CREATE VIRTUAL TABLE other USING fts4(x)", ""),
-        ("UPDATE messages SET topic_id = 77 WHERE id = 9", "1 messages are of topic 77, which it does not list"),
-        ("UPDATE messages SET timestamp = 'noon' WHERE id = 9", "1 rows of the table 'messages' are no messages"),
-        ("UPDATE messages SET data = 5 WHERE id < 9", "8 rows of the table 'messages' are no messages"),
+        ("UPDATE messages SET topic_id = 77 WHERE id = 9", "1 messages are of topic 77, which is not defined"),
+        ("UPDATE messages SET timestamp = 'noon' WHERE id = 9", "1 rows of the table 'messages' are not messages"),
+        ("UPDATE messages SET data = 5 WHERE id < 9", "8 rows of the table 'messages' are not messages"),
         ("UPDATE topics SET type = x'ff00fe', name = 3.5", "has no IMU"),
         ("UPDATE topics SET serialization_format = 'ros2_telepathy'", "are encoded as ros2_telepathy"),
         ("UPDATE message_definitions SET encoding = 'unknown', encoded_message_definition = ''", ""),
@@ -209,7 +209,7 @@ def test_messages_that_are_gone_are_counted(part: Path) -> None:
     with closing(sqlite3.connect(part, isolation_level=None)) as base:
         base.execute("DELETE FROM messages WHERE id BETWEEN 100 AND 109")
     [note] = [note for note in read_dive(part, Config()).notes if note.code == "log_summary"]
-    assert note.text == "the messages of dive.db3 are numbered up to 525, and 515 are found"
+    assert note.text == "the messages of dive.db3 are numbered up to 525, but 515 were found"
     assert note.count == 10
     with closing(sqlite3.connect(part, isolation_level=None)) as base:
         base.execute("DELETE FROM messages")

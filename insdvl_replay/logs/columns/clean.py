@@ -1,8 +1,7 @@
 """Rows made clean: in the order of time, each time once, every number finite; and a note of every loss.
 
-A log does not say what never came into it. Its stamps do where a sensor is regular: then pauses are two, three or more
-usual steps, and nothing between. Where stamps jitter, come in bursts or follow a rate that changes, pauses are of any
-length, or of one length in a row or at even distances, and nothing is said of samples that are lost one by one.
+Samples that were never recorded show in the stamps of a regular sensor: pauses are then multiples of the usual step.
+There is no such note where stamps jitter, come in bursts or have a changing rate, since pauses have any length then.
 """
 
 from collections.abc import Callable
@@ -55,7 +54,7 @@ class Cleaner:
             first_s = float(seconds(log_time_ns[order.wrong], log_time_ns.min()).min())
             text = (
                 f"{order.wrong.size} of {self.time_ns.size} messages have stamps '{table.source.stamp}' that jump "
-                f"while the log time goes on; the first {first_s:.3f} s after the first message"
+                f"while the log time is steady; the first {first_s:.3f} s after the first message"
             )
             hint = f'{self.role}.stamp = "log_time"'
             if order.jump_s > SAME_CLOCK_S:
@@ -65,7 +64,7 @@ class Cleaner:
             code, text = f"{table.source.code}_wrong_stamps", f"{self.role}: {text}; dropped"
             self.notes.append(Note(code, text, order.wrong.size, Severity.WARNING, hint))
         if order.late.size:
-            text = f"messages came after later ones (by up to {order.late_s:.3f} s); sorted"
+            text = f"messages are out of order (by up to {order.late_s:.3f} s); sorted"
             self.note("out_of_order", text, order.late.size, first=order.late)
 
     @property
@@ -75,11 +74,11 @@ class Cleaner:
 
     @property
     def stamp_hint(self) -> str:
-        """What helps where the stamps are those of a delivery."""
-        return f'{self.role}.stamp = "field.path" names the time of the sensor itself, if the messages hold it'
+        """What helps where the stamps are times of delivery."""
+        return f'if the messages have the sensor\'s own time: {self.role}.stamp = "field.path"'
 
     def kept(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Return of values the rows that stay, in the order of time; the same array where all stay in place."""
+        """Return the rows of values that stay, in the order of time; the same array where all stay in place."""
         return values[self.rows] if self.notes else values  # no row is dropped or moved without a note
 
     def keep(self, good: Mask, code: str, reason: str, severity: Severity = Severity.INFO, hint: str = "") -> None:
@@ -106,7 +105,7 @@ class Cleaner:
         self.keep(finite, "not_finite", reason, Severity.WARNING if hint and not single else Severity.INFO, hint)
 
     def keep_possible(self, possible: Mask, reason: str, hint: str) -> None:
-        """Drop the few rows that no sensor can have meant; many are no fault of single rows but of the unit."""
+        """Drop impossible rows if they are few; many mean a wrong unit."""
         if is_few(int(np.count_nonzero(~possible)), possible.size):
             self.keep(possible, "impossible", reason, Severity.WARNING, hint)
 
@@ -114,7 +113,7 @@ class Cleaner:
         """Refuse a role of which nothing stays."""
         if not self.rows.size:
             reasons = "; ".join(note.text for note in self.notes)
-            hint = f"`inspect` lists the topics; {self.role}.topic names another one"
+            hint = f"to use another topic: {self.role}.topic (`inspect` lists the topics)"
             raise LogError(f"no message of {self.time_ns.size} can be used: {reasons}", hint, *self.table.where)
 
     def drop_repeated_times(self, *values: Floats) -> None:
@@ -130,9 +129,9 @@ class Cleaner:
             differ |= ~same_rows(array[self.rows[again]], array[self.rows[again - 1]])
         count = int(np.count_nonzero(differ))
         if not is_few(count, times.size):
-            reason = "messages have the time of the one before and other values, as if several were stamped together"
+            reason = "messages have the time of the one before, but other values (stamped together on delivery)"
             if count > 0.5 * times.size:  # without most of its messages, a topic is not the same any more
-                hint = f'{self.stamp_hint}; {self.role}.stamp = "log_time" takes the recorder\'s'
+                hint = f'{self.stamp_hint}; to use the recorder\'s time: {self.role}.stamp = "log_time"'
                 raise LogError(f"{count} of {times.size} {reason}", hint, *self.table.where)
             good = np.ones(times.size, np.bool_)
             good[again[differ]] = False
@@ -147,11 +146,11 @@ class Cleaner:
         self._keep_rows(first, "same_values", "messages repeat the values of the one before")
 
     def note_missing(self, quantity: str, values: Floats) -> None:
-        """Count the rows that stay without a quantity, named in the plural, which others of them give."""
+        """Note the kept rows that lack a quantity (named in the plural) that other rows have."""
         missing = ~np.isfinite(self.kept(values)).all(axis=1)
         count = int(np.count_nonzero(missing))
         if 0 < count < missing.size:
-            text = f"{quantity} of {missing.size} are not finite, and count as missing"
+            text = f"{quantity} of {missing.size} are not finite and count as missing"
             self.note("not_finite", text, count, first=self.rows[missing])
 
     def note(
@@ -163,7 +162,7 @@ class Cleaner:
         hint: str = "",
         first: Rows | None = None,
     ) -> None:
-        """Add a note about some of the rows, of which the earliest is told."""
+        """Add a note about some of the rows, with the time of the earliest."""
         first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
         text = f"{self.role}: {count} {text}; the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
@@ -202,14 +201,14 @@ def raise_if_two_dives(table: Table, time_ns: TimeNs) -> None:
         if min(ours, theirs) > max(1.0, 0.05 * np.count_nonzero(both)):
             raise LogError(
                 f"in the {(time_ns[both][-1] - time_ns[both][0]) * 1e-9:.3f} s in which the files "
-                f"overlap, {ours} messages of one lie among {theirs} others of the same topic",
-                "name only files of one dive that follow one another, or replay each alone, without --one-dive",
+                f"overlap, one has {ours} messages and the others {theirs} of the same topic: they are different dives",
+                "give only the files of one dive, or replay each file alone, without --one-dive",
                 *table.where,
             )
 
 
 def note_lost_samples(cleaner: Cleaner) -> None:
-    """Note samples for which stamps leave a place, but which the log does not hold."""
+    """Note samples that are missing by the stamps of a regular sensor."""
     steps_ns = np.diff(cleaner.times)
     if not steps_ns.size or steps_ns.max() < 1.5 * steps_ns.mean():
         return  # as of nearly all logs
@@ -234,11 +233,11 @@ def note_lost_samples(cleaner: Cleaner) -> None:
     share = lost / (lost + cleaner.times.size)
     usual_s = float(np.median(steps_ns[stamped[~pauses & near]])) / NS_PER_S
     text = (
-        f"samples, {100.0 * share:.2g} % of all, are not in the log: pauses are multiples of the usual {usual_s:.4g} s"
+        f"samples, {100.0 * share:.2g} % of all, are missing: pauses are multiples of the usual step of {usual_s:.4g} s"
     )
     severity, hint = Severity.INFO, ""
-    if share >= 0.05:  # from where on it may change how far a result is to be believed
-        hint = "what was not recorded cannot be replayed: look for a recorder or a network that cannot follow"
+    if share >= 0.05:  # more may change the results
+        hint = "check whether the recorder or the network was too slow"
         severity = Severity.WARNING
     cleaner.note("lost_samples", text, lost, severity, hint, first=cleaner.rows[stamped[pauses & near]])
 
@@ -254,10 +253,10 @@ def note_bursts(cleaner: Cleaner, steps_ns: TimeNs, remedy: str) -> None:
     if together.size <= 0.05 * steps_ns.size:  # by the jitter of stamps that are otherwise regular
         return
     text = (
-        f"samples, {together.size / steps_ns.size:.0%} of all, are stamped less than 0.2 of the usual step of "
-        f"{usual_ns / NS_PER_S:.4f} s after the one before: stamps in bursts are those of a delivery"
+        f"samples, {together.size / steps_ns.size:.0%} of all, are stamped in bursts (less than 0.2 of the usual step "
+        f"of {usual_ns / NS_PER_S:.4f} s apart): the stamps are times of delivery"
     )
-    hint = f"{cleaner.stamp_hint}; else raise {remedy} until the mean NIS is that of a consistent filter"
+    hint = f"{cleaner.stamp_hint}; else raise {remedy} until NIS/dof is about 1"
     cleaner.note("bursts", text, together.size, Severity.WARNING, hint, first=cleaner.rows[together])
 
 
@@ -273,18 +272,18 @@ def note_gaps(cleaner: Cleaner, pauses_ns: TimeNs, max_gap_s: float) -> None:
         return
     long = int(np.count_nonzero(pauses_ns > max_gap_ns))
     text = (
-        f"gaps are longer than {least_ns / NS_PER_S:.3g} s, the longest of {pauses_ns.max() / NS_PER_S:.3f} s, "
-        f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s in all; {long} longer than {max_gap_s:g} s"
+        f"gaps are longer than {least_ns / NS_PER_S:.3g} s: longest {pauses_ns.max() / NS_PER_S:.3f} s, total "
+        f"{pauses_ns[gaps].sum() / NS_PER_S:.3f} s; {long} longer than {max_gap_s:g} s"
     )
-    hint = f"{cleaner.role}.max_gap_s says which are harmless" if long else ""
+    hint = f"to allow longer gaps: {cleaner.role}.max_gap_s" if long else ""
     cleaner.note("gaps", text, gaps.size, Severity.WARNING if long else Severity.INFO, hint, first=cleaner.rows[gaps])
     # No recorder waits for a day in the middle of a dive; one without a clock of its own begins in 1970.
     steps = np.flatnonzero(pauses_ns > 86_400 * NS_PER_S)
     if steps.size:
         before, after = (np.datetime64(int(cleaner.times[steps[0] + i]), "ns").astype("M8[s]") for i in (0, 1))
         text = (
-            f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set while the log was "
-            "recorded, or two dives are in it"
+            f"steps are longer than a day, the first from {before} to {after} UTC: the clock was set during the "
+            "recording, or the log has two dives"
         )
-        hint = "--start and --end choose what is before or behind"
+        hint = "choose the part before or after the step with --start and --end"
         cleaner.note("clock_set", text, steps.size, Severity.WARNING, hint, first=cleaner.rows[steps])

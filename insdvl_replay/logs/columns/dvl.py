@@ -24,8 +24,8 @@ from insdvl_replay.logs.columns.tables import Mask, Table
 Rule = tuple[str, Callable[[Floats], Mask], str, str]
 _MOVING_MPS: Final = 0.05
 _SPEEDS, _AXES = "velocities along the beams", "axes of the beams"  # columns that no message holds as such
-_VALID_HINT: Final = 'dvl.valid = "field.path", or dvl.beam_valid, names what marks good pings'
-_BEAM_HINT: Final = "dvl.beam_tilt_deg and dvl.beam_azimuth_deg say what the instrument has"
+_VALID_HINT: Final = 'to read a flag of valid pings: dvl.valid = "field.path", or dvl.beam_valid'
+_BEAM_HINT: Final = "set dvl.beam_tilt_deg and dvl.beam_azimuth_deg from the data sheet"
 
 
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
@@ -44,13 +44,11 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     if settings.kind is not None:
         is_beams, quantity = settings.kind == "beams", "beam_velocity" if settings.kind == "beams" else "velocity"
         if quantity not in table:
-            text = f"type {table.source.type_name} has no {quantity}, and dvl.kind is '{settings.kind}'"
-            raise LogError(text, f'dvl.{quantity} = "field.path" names it', *table.where)
+            text = f"type {table.source.type_name} has no {quantity}, but dvl.kind is '{settings.kind}'"
+            raise LogError(text, f'to read it: dvl.{quantity} = "field.path"', *table.where)
     elif is_beams and "velocity" in table and not np.nan_to_num(beams[has_beams]).any():
         is_beams = False
-        cleaner.note(
-            "no_beams", "pings, all there are, have no valid beam with a velocity; theirs are used", len(table)
-        )
+        cleaner.note("no_beams", "pings (all) have no valid beam; the velocities of the DVL are used", len(table))
     if is_beams:
         return _decode_beams(table, settings, cleaner, beams, has_beams), cleaner.notes
     return _decode_velocities(table, settings, cleaner), cleaner.notes
@@ -84,11 +82,11 @@ def _decode_beams(table: Table, settings: Dvl, cleaner: Cleaner, beams: Floats, 
     vectors_d, look_d = _beam_vectors(table, settings, cleaner, used=True)
     if len(vectors_d) != beam_velocity_mps.shape[1]:
         raise ConfigError(
-            f"has {beam_velocity_mps.shape[1]} beams, and the geometry {len(vectors_d)}",
-            "dvl.beam_azimuth_deg lists one angle for each beam",
+            f"has {beam_velocity_mps.shape[1]} beams, but the geometry has {len(vectors_d)}",
+            "set one angle for each beam in dvl.beam_azimuth_deg",
             *table.where,
         )
-    # A reading along a beam that is infinite is as lost as one that is NaN.
+    # An infinite velocity along a beam counts as NaN.
     finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
     if "velocity" in table and "coordinates" not in table:
         _note_contradiction(cleaner, finite, vectors_d, cleaner.kept(_velocity_d(table, settings)))
@@ -101,10 +99,10 @@ def _are_set(status: Floats, bits: tuple[int, ...]) -> Mask:
     return np.asarray((whole >> np.array(bits)) & 1 == 1)
 
 
-_LOST: Final = "pings say by their status or altitude that the bottom was lost"
-_NEGATIVE: Final = "pings have a negative variance, as invalid ones"
-_BY_BITS: Final = "pings are invalid by the bits of their status"
-# Rules of validity: a quantity that a topic may hold, which of its numbers are good, and what the other pings are.
+_LOST: Final = "pings have lost the bottom (status or altitude)"
+_NEGATIVE: Final = "pings have a negative variance, which means invalid"
+_BY_BITS: Final = "pings are invalid by their status bits"
+# Rules of validity: a quantity that a topic may have, which of its numbers are good, and the reason for the others.
 _BOTTOM_TRACK: Final[tuple[Rule, ...]] = (
     ("mode", lambda mode: mode != 2, "water_track", "pings are water track"),
     ("water_track", lambda flag: flag == 0.0, "water_track", "pings are water track"),
@@ -144,18 +142,18 @@ def _beam_velocity(table: Table) -> Floats:
         return velocity
     valid = table.values("beam_valid")
     if valid.shape != velocity.shape:
-        text = f"has {velocity.shape[1]} beam velocities and {valid.shape[1]} flags of their validity"
-        raise LogError(text, "dvl.beam_velocity and dvl.beam_valid name as many numbers", *table.where)
+        text = f"has {velocity.shape[1]} beam velocities, but {valid.shape[1]} validity flags"
+        raise LogError(text, "dvl.beam_velocity and dvl.beam_valid need the same number of values", *table.where)
     return np.where(valid > 0.0, velocity, np.nan)
 
 
 def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
-    """Take single readings that no vehicle can have had for lost; where there are many, the unit is wrong."""
+    """Drop impossible readings if they are few; many mean a wrong unit."""
     impossible = np.abs(values_mps) > FASTEST_MPS
     count = int(np.count_nonzero(impossible))
     if not count or not is_few(count, impossible.size):
         return values_mps
-    text = f"readings are above {FASTEST_MPS:g} m/s, and are taken for lost"
+    text = f"readings are above {FASTEST_MPS:g} m/s and count as missing"
     rows = np.flatnonzero(impossible.any(axis=1))
     cleaner.note("impossible", text, count, Severity.WARNING, _VALID_HINT, first=rows)
     return np.where(impossible, np.nan, values_mps)
@@ -165,7 +163,7 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
     """Drop pings of zero, repeated times and repeated values; refuse a DVL that has no others."""
     zero = (values == 0.0).all(axis=1)
     if not zero.all():
-        reason = "pings are exactly zero, as instruments without a lock report"
+        reason = "pings are exactly zero (no bottom lock)"
         cleaner.keep(~zero, "zero", reason, Severity.WARNING, _VALID_HINT)
     cleaner.drop_repeated_times(values)
     # Values that stay the same for longer than any recorder repeats them: five pings and five seconds.
@@ -176,10 +174,10 @@ def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:
     if long.size:
         if ends[long[0]] - starts[long[0]] == times.size - 1:
             text = f"the values of all {times.size} pings are the same for {lengths_s.max():.1f} s"
-            hint = "dvl.velocity or dvl.beam_velocity names other fields, dvl.topic another DVL"
+            hint = "to read other fields: dvl.velocity or dvl.beam_velocity; to read another DVL: dvl.topic"
             raise LogError(text, hint, *cleaner.table.where)
         count = int(np.sum(ends[long] - starts[long]))
-        text = f"pings stand still to the last digit for over 5 s, the longest run of {lengths_s.max():.1f} s"
+        text = f"pings repeat the same values for over 5 s, longest run {lengths_s.max():.1f} s"
         cleaner.note("stuck", text, count, Severity.WARNING, _VALID_HINT, first=cleaner.rows[starts[long]])
     cleaner.drop_repeated_values(values)
     cleaner.require_rows()
@@ -260,7 +258,7 @@ def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner, *, used: bool) 
         if used:
             azimuths = ", ".join(f"{azimuth:g}" for azimuth in frames.AZIMUTH_DEG)
             text = (
-                f"pings have beam vectors that cannot be true ({fault}); a tilt of {frames.TILT_DEG:g} deg and "
+                f"pings have impossible beam vectors ({fault}); a tilt of {frames.TILT_DEG:g} deg and "
                 f"azimuths of {azimuths} deg are assumed"
             )
             cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
@@ -270,8 +268,8 @@ def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner, *, used: bool) 
     look: Floats | None = reported.mean(axis=0) if used or "beam_quaternions" in table else None
     if look is not None and not frames.look_down(look):
         along = "({:.2f}, {:.2f}, {:.2f})".format(*look)
-        text = f"pings have beams that do not look down but along {along} in the axes in use"
-        hint = 'dvl.axes says which of its axes look forward, starboard and down, as "flu" or "+z-y+x"'
+        text = f"pings have beams that do not point down, but along {along} in the axes in use"
+        hint = 'set dvl.axes to its axes forward, starboard and down, such as "flu" or "+z-y+x"'
         cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
     return vectors_d if configured else reported, look
 
@@ -285,18 +283,18 @@ def _note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: 
     apart_mps = np.linalg.norm(by_beams_d - velocity_d[moving], axis=1)
     part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
     if part > 0.1:  # both are computed from the same echoes, so that a tilt that is wrong by 3 deg shows
-        text = f"pings have beams that, with the geometry in use, differ by {part:.0%} from the velocity beside them"
-        hint = f'{_BEAM_HINT}; dvl.kind = "velocity" leaves them'
+        text = f"pings have beams that, with this geometry, differ by {part:.0%} from the DVL's own velocity"
+        hint = f'{_BEAM_HINT}; to use the velocity instead: dvl.kind = "velocity"'
         cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
 
 
 def _vector_fault(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
-    """State what speaks against beam vectors: their length, or altitude over range, which is the part along z."""
+    """Return what is wrong with beam vectors: their length, or their z component (it is altitude over range)."""
     lengths = np.linalg.norm(vectors, axis=1)
     if not np.all(np.abs(lengths - 1.0) < 0.01):
         return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
     if len(vectors) > 2 and np.linalg.matrix_rank(vectors, 0.01) < 3:
-        return "they lie in one plane"
+        return "they are in one plane"
     if "altitude" in table and "beam_ranges" in table:
         altitude, ranges = cleaner.kept(table.column("altitude")), cleaner.kept(table.values("beam_ranges", 4))
         measured = (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
@@ -306,5 +304,5 @@ def _vector_fault(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
                 float(np.median(vectors[:, 2])),
             )
             if abs(slant - along_z) >= 0.1:
-                return f"their part along z is {along_z:.3f}, altitude over range is {slant:.3f}"
+                return f"their z component is {along_z:.3f}, but altitude over range is {slant:.3f}"
     return ""

@@ -17,9 +17,9 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_gaps, note_lost_samples
 from insdvl_replay.logs.columns.tables import Mask, Table
 
-FRD: Final = "frd"  # the project's axes, which are assumed where nothing tells them
+FRD: Final = "frd"  # the project's axes, the default
 _NAMED_AXES: Final = {FRD: "+x+y+z", "flu": "+x-y-z"}
-_LOST_HINT: Final = "imu.specific_force and imu.angular_rate name other fields; imu.max_gap_s says what is bridged"
+_LOST_HINT: Final = "to read other fields: imu.specific_force and imu.angular_rate"
 
 
 def in_frd(vectors: Floats, axes: str, key: str, unit: float = 1.0) -> Floats:
@@ -61,7 +61,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
     if not possible.all():
         cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
-        reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
+        reason = "samples are above 50 g or 2000 deg/s, or all six readings are zero"
         cleaner.keep_possible(possible, reason, _LOST_HINT)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
@@ -107,8 +107,8 @@ def _drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Flo
     if count and is_few(count, len(spikes)):
         good = np.ones(len(specific_force_b), np.bool_)
         good[cleaner.rows[spikes]] = False
-        reason = "samples jump by over 20 m/s^2 or 200 deg/s, 20 times the usual step, and back with the next"
-        cleaner.keep(good, "spikes", reason, Severity.WARNING, "the instrument or its cable; the pauses are bridged")
+        reason = "samples are spikes of over 20 m/s^2 or 200 deg/s (20 times the usual step)"
+        cleaner.keep(good, "spikes", reason, Severity.WARNING, "check the instrument and its cable")
 
 
 def find_spikes(time_ns: TimeNs, readings: Floats, jump: float) -> Mask:

@@ -76,7 +76,7 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         # A few positions beyond the poles are dropped; where they are many, the angles are something else.
         possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
         count, hint = int(np.count_nonzero(~possible)), f"{cleaner.role}.angle_unit, or "
-        hint += f"{cleaner.role}.latitude names another field"
+        hint += f'another field: {cleaner.role}.latitude = "field.path"'
         if not is_few(count, possible.size):
             raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *table.where)
         cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
@@ -84,8 +84,8 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
         if zero.size:
             position[zero] = np.nan
-            text = "positions have latitude and longitude 0, as receivers without satellites report, and are left out"
-            hint = f"{cleaner.role}.fix names another topic of positions"
+            text = "positions have latitude and longitude 0 (no satellites) and are left out"
+            hint = f"to read another topic of positions: {cleaner.role}.fix"
             cleaner.note("zero", text, zero.size, Severity.WARNING, hint, first=zero)
     cleaner.keep_where("fix_status", lambda status: status >= 0.0, "no_fix", "positions have no fix")
     cleaner.keep_where("fix_type", lambda kind: kind >= 2, "no_fix", "positions have no fix")  # of two dimensions
@@ -177,7 +177,7 @@ def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
         return None
     if "heading" not in table:
         role = table.source.role
-        text = f"{role}.roll and {role}.pitch name roll and pitch without a heading"
+        text = f"{role}.roll and {role}.pitch are set without a heading"
         raise LogError(text, f'{role}.heading = "field.path", or leave both out', *table.where)
     pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
     rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
@@ -251,8 +251,8 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
     order, rows = rows_among(table.sampled, cleaner.rows, len(table))
     cov, wrong = _covariances(table, completed, found, order, rows)
     if wrong:
-        text = f"{table.source.role}: {wrong} covariances are none (not positive definite), and count as not told"
-        hint = "whoever writes them can tell; without them the solution is not evaluated honest or not"
+        text = f"{table.source.role}: {wrong} covariances are not positive definite and count as missing"
+        hint = "correct the program that writes them; without covariances the consistency is not evaluated"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
     return SolutionColumns(motion, moved_n, cleaner.times[rows], cov), notes
 
@@ -317,7 +317,7 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     try:
         content = read_regular(path, MOST_BYTES)
     except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", f"{role}.file names it", path) from error
+        raise LogError(f"cannot be read: {error.strerror}", f"check {role}.file", path) from error
     sha256 = hashlib.sha256(content).hexdigest()
     if settings.sha256 not in (None, sha256):
         raise LogError(f"has changed since the settings were read: its SHA-256 is {sha256}", "run again", path)
@@ -343,11 +343,11 @@ def read_tum(path: Path, settings: Solution, role: str) -> tuple[SolutionColumns
     numbers = np.where(finite, numbers, np.nan)
     notes = []
     if back := int(np.count_nonzero(np.diff(time_ns) < 0)):
-        text = f"{role}: {back} lines have a time before that of the line above; sorted"
-        hint = "a file of one run has rising times; two of them in one file are two solutions"
+        text = f"{role}: {back} lines have an earlier time than the line above; sorted"
+        hint = "if the file has two runs, split it into two solutions"
         notes.append(Note("solution_out_of_order", text, back, Severity.WARNING, hint))
     if repeats := len(time_ns) - len(np.unique(time_ns)):
-        text = f"{role}: {repeats} lines repeat the time of another; of each time the first is taken"
+        text = f"{role}: {repeats} lines repeat the time of another line; the first of each time is used"
         notes.append(Note("solution_repeats", text, repeats))
     order = np.argsort(time_ns, kind="stable")
     rows = order[is_new(time_ns[order])]

@@ -1,4 +1,4 @@
-"""The sensors beside IMU and DVL: the types that hold them, and their readings in the project's units."""
+"""The sensors other than IMU and DVL: their readings in the project's units."""
 
 from collections.abc import Callable
 from typing import Any, Final
@@ -24,7 +24,7 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     """Make the columns of a sensor; a `LogError` where no reading can be used."""
     settings = table.source.completed(getattr(config, name))
     (values, mat_nb), cleaner = _READ[name](table, settings), Cleaner(table)
-    cleaner.keep_finite(values[:, :1], reason=f"messages hold no {name}")
+    cleaner.keep_finite(values[:, :1], reason=f"messages have no {name}")
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
     cleaner.drop_repeated_times(values)
@@ -62,15 +62,15 @@ def _heading(table: Table, settings: Heading) -> Readings:
     heading_alone = settings.heading is not None and settings.quaternion is None and settings.roll is None
     if not heading_alone and settings.angle_unit != "deg" and is_by_quaternion(table, settings):
         raise ConfigError(
-            "heading.angle_unit is of a heading, roll and pitch, and the messages hold a quaternion",
-            "leave it out; heading.heading names an angle in its place",
+            "heading.angle_unit is set, but the messages have a quaternion",
+            "leave heading.angle_unit out; to read an angle: heading.heading",
         )
     mat = None if heading_alone else attitude(table, settings)  # from magnetic or true north
     if mat is None:
         if turned:
             raise ConfigError(
-                "heading.mounting_rpy_deg turns an attitude, and the messages hold a heading alone",
-                "heading.declination_deg takes what it is off by",
+                "heading.mounting_rpy_deg needs an attitude, but the messages have a heading only",
+                "to correct a heading: heading.declination_deg",
             )
         heading = table.column("heading") * ANGLE_UNITS[settings.angle_unit]
         return np.asarray((heading + declination)[:, None]), None
@@ -79,8 +79,8 @@ def _heading(table: Table, settings: Heading) -> Readings:
     if "quaternion_var" in table:
         without = table.column("quaternion_var") < 0.0
         if without.all():
-            text = "all messages say that they hold no orientation"
-            raise LogError(text, "heading.topic names another", *table.where)
+            text = "all messages are marked as without orientation"
+            raise LogError(text, "to use another topic: heading.topic", *table.where)
         mat[without] = np.nan
     heading = rpy_from_mat(mat)[:, 2] + declination
     return np.asarray(heading[:, None]), mat_from_rpy(np.array([0.0, 0.0, declination])) @ mat
@@ -89,7 +89,7 @@ def _heading(table: Table, settings: Heading) -> Readings:
 def _position(table: Table, settings: Position) -> Readings:
     """Return latitude rad, longitude rad, height m, (k, 3): NaN where there was no fix.
 
-    A fix without height is none where heights are used, and else one whose height alone is NaN.
+    A fix without height is dropped if heights are used. Otherwise its height is NaN.
     """
     unit = ANGLE_UNITS[settings.angle_unit]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
@@ -99,7 +99,7 @@ def _position(table: Table, settings: Position) -> Readings:
         furthest = latitude[np.nanargmax(np.abs(latitude))] / unit
         raise LogError(
             f"{count} of {known} latitudes are beyond the poles, up to {furthest:.6g} {settings.angle_unit}",
-            'position.angle_unit = "deg" or "rad", or position.latitude = "field.path" names another field',
+            'position.angle_unit = "deg" or "rad"; to read another field: position.latitude = "field.path"',
             *table.where,
         )
     height_m = table.column("height") if "height" in table else np.full(len(table), np.nan)

@@ -79,8 +79,8 @@ class Table:
         values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
-                f"field '{path}' holds {values.shape[1]} numbers where {width} are needed",
-                f"{self.source.role}.{quantity} must name {width} numbers; {fields_hint(self.known, path)}",
+                f"field '{path}' has {values.shape[1]} numbers, but {width} are needed",
+                f"set {self.source.role}.{quantity} to {width} numbers; {fields_hint(self.known, path)}",
                 *self.where,
             )
         return values
@@ -92,7 +92,7 @@ class Table:
 
     @property
     def stamp_numbers(self) -> NDArray[Any] | None:
-        """Stamps that are mere numbers, shape (k,); None where they are times."""
+        """Stamps that are plain numbers, shape (k,); None where they are times."""
         values = self.columns[stamp_path(self.source.stamp)]
         is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
         return None if is_time else values[:, 0]
@@ -107,10 +107,10 @@ class Table:
         time_ns: TimeNs = values[:, 0]
         if stamp not in RECORDER_STAMPS and not self.has_whole_times:
             if values.shape[1] != 1:
-                text = f"field '{path}' holds {values.shape[1]} numbers and is no time"
-                raise LogError(text, f"{role}.stamp names a builtin_interfaces/Time or one number", *self.where)
+                text = f"field '{path}' has {values.shape[1]} numbers and is no time"
+                raise LogError(text, f"set {role}.stamp to a builtin_interfaces/Time or one number", *self.where)
             if missing := int(np.count_nonzero(~np.isfinite(values))):
-                raise LogError(f"stamp '{path}' is no number in {missing} messages", hint, *self.where)
+                raise LogError(f"stamp '{path}' is not a number in {missing} messages", hint, *self.where)
             counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
             time_ns = counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
@@ -417,7 +417,7 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
 
     def latencies(*clocks: Clock) -> str:
         return "".join(
-            f"; {clock.role}.latency_s takes {clock.latency_s:g} s off the stamps"
+            f"; {clock.role}.latency_s subtracts {clock.latency_s:g} s from the stamps"
             for clock in clocks
             if clock.latency_s
         )
@@ -428,14 +428,14 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
         code = code_of(clock.role)
         if min(map(abs, both_ways(clock))) > SAME_CLOCK_S + clock.spread_s:
             text = (
-                f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s in the "
-                f"median, {clock.spread_s:.3f} s between its 5th and 95th percentile{latencies(clock)}"
+                f"{clock.topic}: log time minus stamp '{clock.stamp}' is {clock.log_minus_stamp_s:.3f} s "
+                f"(median; {clock.spread_s:.3f} s between the 5th and the 95th percentile){latencies(clock)}"
             )
             offsets.append(Note(f"{code}_clock_offset", text, clock.messages))
         if clock.spread_s > LARGEST_JITTER_S:
             text = (
-                f"{clock.topic}: the clock of its stamps runs unlike the recorder's: log time minus stamp varies by "
-                f"{clock.spread_s:.3f} s between its 5th and 95th percentile"
+                f"{clock.topic}: the clock of the stamps drifts or jumps against the recorder's: log time minus stamp "
+                f"varies by {clock.spread_s:.3f} s (5th to 95th percentile)"
             )
             hint = f'{clock.role}.stamp = "log_time"'
             unsteady.append(Note(f"{code}_clock_unsteady", text, clock.messages, Severity.WARNING, hint))
@@ -445,16 +445,16 @@ def clock_notes(place: str, clocks: Sequence[Clock], max_disagreement_s: float) 
         apart_s = min(abs(its - ours) for its in both_ways(other) for ours in both_ways(imu)) - jitter_s
         both = f"{imu.topic} and {other.topic}" if imu.topic != other.topic else f"imu and {other.role} of {imu.topic}"
         text = (
-            f"{both} are stamped by different clocks: log time minus stamp is {imu.log_minus_stamp_s:.3f} s on the one "
-            f"and {other.log_minus_stamp_s:.3f} s on the other{latencies(imu, other)}"
+            f"{both} are stamped by different clocks: log time minus stamp is {imu.log_minus_stamp_s:.3f} s and "
+            f"{other.log_minus_stamp_s:.3f} s{latencies(imu, other)}"
         )
         to_set = (f"--set {clock.role}.stamp=log_time" for clock in (imu, other) if clock.stamp != "log_time")
-        by_recorder = f"{' '.join(to_set)} stamps both by the recorder"
+        by_recorder = f"to use the recorder's clock for both: {' '.join(to_set)}"
         if apart_s > max_disagreement_s:
-            hint = f"{by_recorder}; if they do belong together, raise clocks.max_disagreement_s"
+            hint = f"{by_recorder}; if the clocks are right, raise clocks.max_disagreement_s"
             raise LogError(text, hint, place)
         if apart_s > SAME_CLOCK_S:
-            text += "; clocks.max_disagreement_s allows it"
+            text += "; allowed by clocks.max_disagreement_s"
             apart.append(Note("clocks_apart", text, other.messages, Severity.WARNING, by_recorder))
     return (*offsets, *unsteady, *apart)
 

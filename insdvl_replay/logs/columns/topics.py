@@ -104,8 +104,8 @@ PROPOSED: Final = ("imu", "dvl", "reference")  # roles for which `inspect` propo
 _MAVLINK: Final = re.compile(r"(?:^|/)mavlink/\d+/\d+/([A-Z][A-Z0-9_]+)$")  # whole messages, as BlueOS records them
 _TELEMETRY: Final = re.compile(r"(^|/)(RAW_IMU|SCALED_IMU\d?|HIGHRES_IMU)$")  # of MAVLink, too slow to be replayed
 _FULL_RATE: Final = (
-    "the vehicle's .BIN has every sample, if LOG_REPLAY was 1: clydemcqueen/dive_to_bag writes a bag of it; "
-    "docs/inputs.md says more"
+    "convert the vehicle's .BIN with clydemcqueen/dive_to_bag; it has every sample if LOG_REPLAY was 1; see "
+    "docs/inputs.md"
 )
 Section = TypeVar("Section", bound=msgspec.Struct)
 
@@ -193,11 +193,11 @@ class TopicRequirement:
         for quantities in self.needs.together:
             if (lacking := sorted(quantities - given)) and (alone := sorted(quantities & given)):
                 missing = f'{self.role}.{lacking[0]} = "field.path"'
-                raise LogError(f"topic '{topic}' gives {' and '.join(alone)} without {' and '.join(lacking)}", missing)
+                raise LogError(f"topic '{topic}' has {' and '.join(alone)}, but no {' and '.join(lacking)}", missing)
         if not any(quantities <= fields.keys() for quantities in self.needs.enough):
             reason = f"is of type {type_name or 'unknown'}, which is not known as a type for {self.key}"
             if known.fields:
-                reason = f"is of type {type_name}, and its schema lacks some of {', '.join(known.fields.values())}"
+                reason = f"is of type {type_name}, but its schema lacks some of {', '.join(known.fields.values())}"
             raise LogError(f"topic '{topic}' {reason}", self.how_to_name())
         stamp = self.stamp
         if stamp is None:
@@ -207,7 +207,8 @@ class TopicRequirement:
         if known.element:
             element = Element(known.element[0], known.element[1:], self.frames or ())
         elif self.frames is not None:
-            raise LogError(f"topic '{topic}' has no transforms, and {self.role}.frames is set", "leave it out")
+            text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
+            raise LogError(text, f"remove {self.role}.frames")
         return Source(
             self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions, element
         )
@@ -215,11 +216,11 @@ class TopicRequirement:
     def how_to_name(self) -> str:
         """State which keys lead to a topic of an unknown type."""
         if not self.paths:
-            return f"known are {', '.join(self.types)}"
+            return f"known types: {', '.join(self.types)}"
         ways = sorted(sorted(quantities) for quantities in self.needs.enough)
         joined = " or ".join(" and ".join(f'{self.role}.{name} = "field.path"' for name in way) for way in ways)
-        does = "proposes what to set" if self.role in PROPOSED else "lists the topics"
-        return f'for other types, set {self.key} = "/topic" with {joined}; `insdvl-replay inspect` {does}'
+        does = "for a proposal" if self.role in PROPOSED else "for a list of topics"
+        return f'for other types: {self.key} = "/topic" with {joined}; {does}: `insdvl-replay inspect`'
 
 
 def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> TopicRequirement:
@@ -250,9 +251,9 @@ class Topics:
         self.place = place
         self._channels = by_topic(channel for channel in channels if channel.messages)
         self._empty = {channel.topic: channel.type_name for channel in channels if channel.topic not in self._channels}
-        announced = f" Announced are {listed(sorted(self._empty))}" if self._empty else ""
+        announced = f" Topics without messages: {listed(sorted(self._empty))}" if self._empty else ""
         self._nothing_recorded = f"was anything recorded?{announced}"
-        self.reason_for_none = "no message is of a type known for one" if self._channels else "the log has no messages"
+        self.reason_for_none = "no topic has a known type for it" if self._channels else "the log has no messages"
 
     def source(self, required: TopicRequirement, topic: str) -> Source:
         """Make a topic the source of a role."""
@@ -261,9 +262,9 @@ class Topics:
         meant = nearest(topic, self._channels)
         hint = f'the nearest is {required.key} = "{meant}"' if meant else self._nothing_recorded
         if required.key.endswith(".solution.topic") and key_of(topic) == "file":
-            hint = f'a file is {required.key.removesuffix("topic")}file = "{topic}"'
+            hint = f'for a file: {required.key.removesuffix("topic")}file = "{topic}"'
         elif self._channels and not meant:
-            hint = f"those with messages are {listed(sorted(self._channels))}"
+            hint = f"topics with messages: {listed(sorted(self._channels))}"
         raise LogError(f"has no messages on topic '{topic}' ({required.key})", hint)
 
     def candidates(self, required: TopicRequirement, besides: Collection[str]) -> list[str]:
@@ -287,7 +288,7 @@ class Topics:
         return self.source(required, candidates[0]) if candidates else None
 
     def need(self, required: TopicRequirement) -> Source:
-        """Find the topic of a role that a replay cannot do without; else say which topics might have been it."""
+        """Find the topic of a role that a replay needs."""
         if (source := self.find(required)) is not None:
             return source
         role = required.role
@@ -301,8 +302,8 @@ class Topics:
         wanted = [type_name for types in required.by_type for type_name in types]
         empty = sorted(topic for topic, type_name in self._empty.items() if full_name(type_name) in wanted)
         found = sorted({channel.type_name or topic for topic, same in self._channels.items() for channel in same})
-        but = f"; {listed(empty)} would be, without a single message" if empty else ""
+        but = f"; {listed(empty)} has a known type, but no messages" if empty else ""
         raise LogError(
-            f"{lack}: no message is of a type known for one ({', '.join(wanted)}); it has {listed(found)}{but}",
+            f"{lack}: no topic has one of its known types ({', '.join(wanted)}); it has {listed(found)}{but}",
             required.how_to_name(),
         )

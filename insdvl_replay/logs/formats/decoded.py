@@ -198,7 +198,7 @@ def protobuf_reader(type_name: str, schema_data: bytes, paths: Sequence[str]) ->
         except DecodeError as error:
             raise LogError(
                 f"a message of {len(message)} bytes is no {type_name}: {error}",
-                "the schema in the log is not that of the messages, or the log is damaged",
+                "the schema does not match the messages, or the log is damaged",
             ) from error
 
     def access(message: Any, name: str, shape: Shape) -> Any:
@@ -285,7 +285,9 @@ def _schema_shape(schema_data: bytes) -> Shape:
     try:
         schema = msgspec.json.decode(schema_data)
     except _UNREADABLE as error:
-        raise LogError(f"the JSON schema is no JSON: {error}", "a schema may also be left out") from error
+        raise LogError(
+            f"the JSON schema is no JSON: {error}", "record the log again with a correct schema, or without one"
+        ) from error
 
     def described(schema: Any, level: int) -> Shape:
         kind = schema.get("type") if isinstance(schema, Mapping) and level <= _DEEPEST else None

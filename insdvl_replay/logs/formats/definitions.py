@@ -25,7 +25,7 @@ PRIMITIVES: Final[dict[str, str]] = {
 MOST_PATHS: Final = 1 << 16  # fields of a type: real types have hundreds, and a short schema can mean billions
 MOST_LEVELS: Final = 64  # structures within structures
 LONGEST_ARRAY: Final = 2**32 - 1  # CDR counts elements in words of four bytes
-LEAVE_OUT: Final = "leave its topic out of the roles"
+LEAVE_OUT: Final = "do not use its topic for a role"
 _ROS2_RECORDER: Final = "`ros2 bag record --storage mcap`"
 _RECORDERS: Final = {"ros1msg": "`mcap convert`", "ros2msg": _ROS2_RECORDER, "ros2idl": _ROS2_RECORDER}
 _ROS1_SYNONYMS: Final = {"byte": "int8", "char": "uint8"}
@@ -57,11 +57,11 @@ def full_name(type_name: str) -> str:
 
 def record_again(language: str) -> str:
     """Return the hint for a schema that is not complete."""
-    return f"record the log again with complete schemas, as {_RECORDERS[language]} writes them"
+    return f"record the log again with complete schemas, with {_RECORDERS[language]}"
 
 
 def _only(language: str) -> str:
-    return f"schemas must be of encoding {language}, as {_RECORDERS[language]} writes them"
+    return f"schemas must be of encoding {language}; {_RECORDERS[language]} writes them"
 
 
 @cache

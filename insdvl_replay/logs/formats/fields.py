@@ -80,21 +80,23 @@ def check_path(path: str, known: Kinds, type_name: str) -> None:
         hint = fields_hint(known, path)
         raise LogError(f"{type_name} has no field '{path}'", f"the nearest one is '{meant}'; {hint}" if meant else hint)
     if kind in TEXTS:
-        raise LogError(f"field '{path}' of {type_name} is text", f"name one of numbers; {fields_hint(known, path)}")
+        raise LogError(
+            f"field '{path}' of {type_name} is text", f"use a field with numbers; {fields_hint(known, path)}"
+        )
 
 
 def fields_hint(known: Kinds, path: str) -> str:
     """List the fields with numbers, for a hint."""
     numbers = {name: kind for name, kind in known.items() if kind not in TEXTS and f"{name}[*]" not in known}
     if not numbers:
-        return "the type has no fields of numbers"
+        return "the type has no fields with numbers"
     near = set(most_like(path, numbers, _LISTED))
     shortest_first = sorted(
         (name for name in numbers if name in near), key=lambda name: len(re.findall(r"[.\[]", name))
     )
     listed = ", ".join(f"{name} ({numbers[name]})" for name in shortest_first)
     more = f" and {len(numbers) - len(near)} more" if len(numbers) > len(near) else ""
-    return f'its fields are {listed}{more}; "p, q, r" sets fields side by side'
+    return f'its fields are {listed}{more}; for several fields: "p, q, r"'
 
 
 # Of each encoding of messages that can be read, the encodings of its schemas.
@@ -113,7 +115,7 @@ def check_encoding(channel: LogChannel) -> None:
         raise LogError(
             f"messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "
             f"{channel.schema_encoding or 'no'} schema; only {known} can be read",
-            "name another topic, or record the messages in one of these",
+            "use another topic, or record the messages in one of these encodings",
         )
 
 
@@ -129,8 +131,8 @@ def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | No
         from insdvl_replay.logs.formats.decoded import JsonReader, protobuf_reader
 
         if element is not None:
-            text = f"elements of '{element.list_name}' by their texts are read from CDR and messages of ROS 1 alone"
-            raise LogError(text, "record the one that is meant on a topic of its own")
+            text = f"elements of '{element.list_name}' can be selected by text in CDR and ROS 1 messages only"
+            raise LogError(text, "record the selected element on its own topic")
         make = protobuf_reader if channel.encoding == "protobuf" else JsonReader
         return make(channel.type_name, channel.schema_data, paths)
     definitions = definitions_of(channel.type_name, channel.schema_text, channel.encoding, channel.schema_encoding)
@@ -215,7 +217,7 @@ def _layout_of(
     lengths: list[int] = []
 
     def advance(size: int, alignment: int) -> int:
-        """Go behind a value and return where it starts; refuse what no message has, before more of it is named."""
+        """Skip a value and return where it starts; refuse sizes that no message has."""
         nonlocal offset, passed
         passed += 1
         if passed > MOST_PLACES:
@@ -230,7 +232,7 @@ def _layout_of(
         if end > room:
             raise LogError(
                 f"{type_name}: a message of {room} bytes is shorter than its schema and lengths say",
-                "the log is damaged, or its schema is not that of its messages",
+                "the log is damaged, or its schema does not match its messages",
             )
 
     def length_word(path: str) -> int:
@@ -303,7 +305,7 @@ class _Plan:
                 base, start, number = dtype.base, offset, math.prod(dtype.shape)
                 total += number
                 if total > MOST_NUMBERS:
-                    raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "name fewer")
+                    raise LogError(f"'{path}' means more than {MOST_NUMBERS} numbers of a message", "use fewer")
                 if runs and runs[-1][0] == base and runs[-1][1] + runs[-1][2] * base.itemsize == offset:
                     _, start, before = runs.pop()
                     number += before
@@ -421,7 +423,7 @@ class BinaryReader:
         if not rows.size:
             raise LogError(
                 f"a message of {size} bytes has {layout.size} by its schema ({self._type_name})",
-                "the schema in the log is not that of the messages",
+                "the schema in the log does not match the messages",
             )
         return rows, plan, values
 

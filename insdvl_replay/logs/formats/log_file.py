@@ -1,7 +1,7 @@
 """What every kind of log file shares: its bytes, whether it has changed, its channels, and messages as blocks of bytes.
 
-Other programs may write to a log, cut it, put another file in its place or remove it while it is read. What was read by
-then is of no file that ever was, so that the log is refused.
+Other programs may write to a log, cut it, replace it or remove it while it is read. The log is refused then, since the
+parts that were read are from different versions.
 """
 
 import errno
@@ -119,7 +119,7 @@ class UnusableFileError(LogError):
 
 
 class ChangedLogError(LogError):
-    """A file is no longer what it was when it was opened."""
+    """A file has changed since it was opened."""
 
 
 def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
@@ -180,14 +180,14 @@ def opened(
 
             content = memoryview(bz2.BZ2Decompressor().decompress(data, size + 1))
         else:
-            what = f"a chunk is compressed with '{compression}', which is none of zstd, lz4, bz2 and nothing"
+            what = f"a chunk is compressed with '{compression}'; only zstd, lz4 and bz2 can be read"
             raise DamageError(offset, what)
     except (zstandard.ZstdError, RuntimeError, OverflowError, OSError) as error:
         raise DamageError(offset, f"a {compression} chunk cannot be decompressed ({error})") from error
     if len(content) > size:
         raise DamageError(offset, f"a chunk opens to more than {size} bytes")
     if not is_cut and len(content) < size:
-        raise DamageError(offset, f"a chunk opens to {len(content)} bytes where {size} were announced")
+        raise DamageError(offset, f"a chunk opens to {len(content)} bytes, but {size} were announced")
     if not is_cut and crc and zlib_ng.crc32(content) != crc:
         raise DamageError(offset, "the checksum of a chunk is not that of its bytes")
     return content
@@ -224,7 +224,7 @@ class FileBytes:
         if stat.S_ISDIR(self._before.st_mode):
             raise LogError(f"cannot be read: {os.strerror(errno.EISDIR)}", "check the path", path)
         if not stat.S_ISREG(self._before.st_mode):
-            raise LogError("is a pipe or a device, not a file", "write it to a file, and name that", path)
+            raise LogError("is a pipe or a device, not a file", "write it to a file first", path)
         if not self._before.st_size:
             raise UnusableFileError("is empty (0 bytes)", "the recording never began, or the copy failed", path)
 
@@ -262,7 +262,7 @@ class FileBytes:
         return Digest(digest.hexdigest(), [Damage(section_end, text)] if crc != section_crc else [])
 
     def require_unchanged(self) -> None:
-        """Refuse the file if it is no longer what it was when it was opened."""
+        """Refuse the file if it has changed since it was opened."""
         before, change = self._before, ""
         try:
             now, named = os.fstat(self._descriptor), self.path.stat()
@@ -279,7 +279,7 @@ class FileBytes:
             elif not os.path.samestat(before, named):
                 change = "was replaced by another file"
         if change:
-            hint = "read it when nothing writes there any more, or read a copy of it"
+            hint = "wait until the recording has ended, or read a copy"
             raise ChangedLogError(f"{change} while it was read", hint, self.path)
 
 
@@ -342,7 +342,7 @@ class LogFile(ABC):
 
     @contextmanager
     def collected(self) -> Iterator[None]:
-        """Note a damaged place, and go on behind what it spoils."""
+        """Note a damaged place, and continue after it."""
         try:
             yield
         except DamageError as error:
@@ -463,7 +463,7 @@ class ChunkedFile(LogFile):
         return sum((chunk.counts for chunk in self._chunks), Counter[int]())
 
     def _contents(self, chunks: Iterable[Chunk]) -> Iterator[Content]:
-        """Open chunks, some ahead of who reads them; those that cannot be opened are lost."""
+        """Open chunks, some ahead of the reader; those that cannot be opened are lost."""
         left, ahead = deque(chunks), deque[tuple[Chunk, Future[tuple[memoryview, memoryview]]]]()
         sampled = {chunk.start for chunk in list(left)[:_SAMPLED]}
         opener = ThreadPoolExecutor(1)
@@ -583,4 +583,4 @@ class ChunkedFile(LogFile):
         longest_s = max(gap_ns.values(), default=0) * 1e-9
         what = listed(lost_by_topic, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
         damaged = f", {size} bytes are damaged" if size else ""
-        return f"{what} are lost{damaged}{'; nothing tells how long the recording went on' if is_open else ''}"
+        return f"{what} are lost{damaged}{'; the end of the recording is unknown' if is_open else ''}"

@@ -52,7 +52,7 @@ _MESSAGE_FIELDS: Final = MESSAGE.itemsize - HEADER_SIZE
 _ENTRY: Final = np.dtype([("log", "<i8"), ("start", "<i8")])  # of a message index
 _WINDOW, _LARGE_WINDOW = 4 << 10, 1 << 20  # bytes that the walk looks at at a time: among chunks, among messages
 _END_OF_TIME_NS: Final = 2**63  # times are signed in numpy as in ROS, and unsigned in the format
-_CUT: Final = "the file ends without the closing bytes; it was cut or is still being written"
+_CUT: Final = "the closing bytes are missing; the file was cut or is still being written"
 _SUMMARY_ONLY: Final = (Opcode.STATISTICS, Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
 _RECORDS: Final[dict[int, Any]] = {
     Opcode.HEADER: records.Header,
@@ -213,7 +213,7 @@ class McapFile(ChunkedFile):
             # It may be that only its opening bytes are damaged.
             if closing != MAGIC and (kind != Opcode.HEADER or length > size or not can_be_record(kind, length)):
                 what = f"is not an MCAP file, nor a bag: it starts with bytes '{opening[:8].hex(' ')}'"
-                raise UnusableFileError(what, "name an .mcap, .db3 or .bag file", self.path)
+                raise UnusableFileError(what, "give an .mcap, .db3 or .bag file", self.path)
             self.damage(0, f"the opening bytes are '{opening[:magic].hex(' ')}', not those of an MCAP file")
         return size - magic if self._is_closed else size
 
@@ -273,7 +273,7 @@ class McapFile(ChunkedFile):
         elif kind == Opcode.MESSAGE_INDEX:
             chunk = self._chunks[-1] if self._chunks else Chunk(0, 0)
             if chunk.index_end != start or chunk.is_loose:
-                raise DamageError(start, "an index is behind no chunk")
+                raise DamageError(start, "an index does not follow a chunk")
             channel_id, size = struct.unpack_from("<HI", content)
             chunk.indexes.append((begin, end))
             if size > length - 6 or size % _ENTRY.itemsize or channel_id in chunk.counts:
@@ -336,24 +336,24 @@ class McapFile(ChunkedFile):
     def _check_summary(self, end: int) -> None:
         """Hold the end of the file against what was found."""
         if Opcode.HEADER not in self._only:
-            self.damage(len(MAGIC), "no header begins the log")
+            self.damage(len(MAGIC), "the log has no header")
         self._is_open_ended = Opcode.DATA_END not in self._only
         if self._is_open_ended:
             if self._is_closed:
-                self.damage(end, "no record ends the messages")
+                self.damage(end, "the record that ends the messages is missing")
             return
         summary_start, is_right = self._only[Opcode.DATA_END][0] + HEADER_SIZE + 4, True
         footer_start, footer = self._only.get(Opcode.FOOTER, (0, None))
         if footer is None:
             if self._is_closed:
-                self.damage(end, "no footer is in front of the closing bytes")
+                self.damage(end, "the footer before the closing bytes is missing")
         else:
             if footer.summary_start not in (0, summary_start):
                 self.damage(footer_start, f"the footer says that the summary starts at byte {footer.summary_start}")
             # The checksum covers the footer up to itself.
             covered = self.file.read(summary_start, footer_start + HEADER_SIZE + 16)
             if footer.summary_crc and zlib_ng.crc32(covered) != footer.summary_crc:
-                self.damage(summary_start, "the checksum of the summary is not that of its bytes")
+                self.damage(summary_start, "the checksum of the summary is wrong")
                 is_right, self._chunk_indexes = False, {}
         if is_right and (stated := self._record(Opcode.STATISTICS)) is not None:
             self._announced = Counter(stated.channel_message_counts)
@@ -362,11 +362,11 @@ class McapFile(ChunkedFile):
         spans = {chunk.span_ns for chunk in [*self._chunks, *self._lost]}
         for start, index in self._chunk_indexes.items():
             if start not in starts:
-                self.damage(start, "the summary names a chunk where none is found")
+                self.damage(start, "the summary has a chunk here, but there is none")
             if (index.message_start_time, index.message_end_time) not in spans:
                 self._missing.append(start)
         for start in starts - self._chunk_indexes.keys() if self._chunk_indexes else ():
-            self.damage(start, "a chunk is here that the summary does not name")
+            self.damage(start, "there is a chunk here that is not in the summary")
 
     def _look_into_chunks(self) -> None:
         """Open the chunks of which it is not known what is in them, for definitions and counts."""
@@ -380,7 +380,7 @@ class McapFile(ChunkedFile):
                     chunk.counts = content.counts()
         for channel_id, count in self._counts().items():
             if channel_id not in self._channels:
-                self.damage(len(self.file), f"{count} messages are of channel {channel_id}, which is nowhere defined")
+                self.damage(len(self.file), f"{count} messages are of channel {channel_id}, which is not defined")
 
     # --- Chunks.
 
@@ -419,7 +419,7 @@ class McapFile(ChunkedFile):
             wrong = {id_ for id_, _ in there - named} | {id_ for id_, count in extra.items() if count > 1}
             if wrong:
                 channels = listed(map(str, sorted(wrong)))
-                self.damage(chunk.start, f"the indexes of a chunk do not name its messages of channel {channels}")
+                self.damage(chunk.start, f"the indexes of a chunk do not agree with its messages of channel {channels}")
             if wrong or is_broken:
                 chunk.counts, chunk.is_indexed = content.counts(), False
         return content.messages
@@ -475,7 +475,7 @@ class McapFile(ChunkedFile):
         if self.damages:
             notes.append(damage_note(self.path.name, self.damages, self._losses()))
         elif missing:
-            text = f"the summary of {self.path.name} announces {missing:+d} messages against what the log holds"
+            text = f"the summary of {self.path.name} announces {missing:+d} messages compared with the log"
             notes.append(Note("log_summary", text, abs(missing), Severity.WARNING, COPY_AGAIN))
         spans = [self._announced_ns] if self._announced_ns else [chunk.span_ns for chunk in self._chunks]
         last_ns = max((last for _, last in spans), default=0)
@@ -484,7 +484,7 @@ class McapFile(ChunkedFile):
                 f"the log times of {self.path.name} go on to {last_ns} ns since 1970; from 2^63 ns on, which is in the "
                 "year 2262, they are no times that can be shown or compared with stamps"
             )
-            hint = "the messages' own stamps are used where they have any; the recorder's clock was wrong"
+            hint = "the recorder's clock was wrong; the stamps in the messages are used if there are any"
             notes.append(Note("log_times_late", text, 1, Severity.WARNING, hint))
         if self._private:
             text = f"{self._private} records are of kinds that are not MCAP's own"

@@ -32,7 +32,7 @@ Step = TypeVar("Step")
 
 
 def open_log_file(path: Path) -> LogFile:
-    """Open a file, which its first bytes tell the format of; names tell nothing."""
+    """Open a file. Its first bytes determine the format, not its name."""
     file = FileBytes(path)
     start = bytes(file.read(0, 16))
     if start == b"SQLite format 3\0":
@@ -81,10 +81,10 @@ class Recording:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What was found wrong so far, and which files were read as one."""
+        """Notes on damage found so far, and on files that were read as one."""
         notes = [note for part in self.parts for note in part.notes]
         for error in self._unusable.values():
-            text = f"{error.message}; an unknown number of messages (an unknown time) are lost; nothing of it is left"
+            text = f"{error.message}; the whole file is lost (unknown number of messages, unknown time)"
             notes.append(Note("log_damaged", text, 1, Severity.WARNING, COPY_AGAIN))
         if len(self.parts) > 1:
             names = ", ".join(part.path.name for part in self.parts)
@@ -94,7 +94,7 @@ class Recording:
             following = zip(reached, spans[1:], strict=False)
             overlaps = [(end - start) * 1e-9 for end, (start, _) in following if end >= start]
             if overlaps:
-                text = f"{len(overlaps)} files begin before those before them end, by up to {max(overlaps):.3f} s"
+                text = f"{len(overlaps)} files overlap with the file before, by up to {max(overlaps):.3f} s"
                 notes.append(Note("files_overlap", text, len(overlaps)))
         return tuple(notes)
 
@@ -128,7 +128,7 @@ class Recording:
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """Refuse the files if one has changed by the end since it was opened."""
+        """Refuse the files if one has changed since it was opened."""
         with ExitStack() as all_parts:
             for part in self.parts:
                 all_parts.enter_context(part.watched())
@@ -176,7 +176,7 @@ def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) 
     given = (path,) if isinstance(path, Path) else tuple(path)
     for name in map(str, given):
         if not is_writable(name):
-            raise LogError(f"{visible(name)}: its name is not UTF-8, so no result could bear it", "rename it")
+            raise LogError(f"{visible(name)}: its name is not UTF-8, so it cannot be stored in results", "rename it")
     if len(given) == 1 and not given[0].is_dir():
         return Recording(given[0], given, allow_damaged=allow_damaged)
     files = [file for part in given for file in (bag_parts(part) if part.is_dir() else (part,))]
@@ -191,7 +191,7 @@ def name_giver(paths: Sequence[Path]) -> Path:
 
 
 def natural_sort_key(path: Path) -> list[tuple[str, int]]:
-    """Sort names as people count: part 2 before part 10."""
+    """Sort names with numbers by value: part 2 before part 10."""
     return [(word, int(digits or 0)) for word, digits in re.findall(r"(\D*)(\d*)", path.name)]
 
 
@@ -213,18 +213,18 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
         parts = tuple(unpacked if _is_file(unpacked) else part for part, unpacked in zip(listed, plain, strict=True))
         for part in parts:
             if not _is_file(part):
-                hint = f"copy the whole bag, or read the parts that are there: {by_name}"
+                hint = f"copy the whole bag, or read the existing parts: {by_name}"
                 raise LogError(f"lists {part.name}, which is not there", hint, metadata)
         for other in found:
             if other not in parts:
-                what = f"does not list {other.name}, which lies beside the parts of the bag"
-                raise LogError(what, f"move it away, or read all logs of the folder: {by_name}", metadata)
+                what = f"does not list {other.name}, which is in the folder of the bag"
+                raise LogError(what, f"move it to another folder, or read all logs of the folder: {by_name}", metadata)
     for packed in _logs_in(path, _PACKED):
         if packed.with_suffix("") not in parts:
-            raise LogError("is compressed as a whole with zstd", f"`zstd -d {packed}` unpacks it", packed)
+            raise LogError("is compressed as a whole with zstd", f"unpack it: `zstd -d {packed}`", packed)
     if not parts:
         what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files"
-        raise LogError(what, "name a log, or a folder with the parts of one", path)
+        raise LogError(what, "give a log, or a folder with the parts of one", path)
     return parts
 
 
@@ -238,7 +238,7 @@ def _is_file(path: Path) -> bool:
 
 def _listed(metadata: Path, by_name: str) -> list[str]:
     """Read which parts a list names, as rosbag2 writes it in YAML, or anybody in JSON."""
-    hint = f"read the logs beside it: {by_name}"
+    hint = f"read the logs of the folder: {by_name}"
     try:
         text = read_text(metadata)
     except (OSError, ValueError) as error:
@@ -251,8 +251,8 @@ def _listed(metadata: Path, by_name: str) -> list[str]:
     if not names:
         raise LogError("lists no files", hint, metadata)
     if re.search(r'compression_mode"?:[ \t]*["\']?MESSAGE', text, re.IGNORECASE):
-        what = "says that each message is compressed for itself"
-        raise LogError(what, "`ros2 bag convert` writes them as they are", metadata)
+        what = "says that each message is compressed separately"
+        raise LogError(what, "convert the bag without compression: `ros2 bag convert`", metadata)
     return names
 
 

@@ -90,7 +90,7 @@ class BagFile(ChunkedFile):
         if self.damages:
             return (damage_note(self.path.name, self.damages, self._losses()),)
         if not self.has_summary:
-            text = f"{self.path.name} was not closed by its recorder: what came last may be missing"
+            text = f"{self.path.name} was not closed by its recorder: the last messages may be missing"
             return (Note("log_summary", text, 1, Severity.WARNING, COPY_AGAIN),)
         return ()
 
@@ -104,7 +104,7 @@ class BagFile(ChunkedFile):
                 if record.kind == _INDEX and latest >= 0:
                     self._indexes[latest].append(record)
                 elif record.kind not in found:
-                    raise DamageError(place, f"a record of kind {record.kind} is where none belongs")
+                    raise DamageError(place, f"a record of kind {record.kind} is in the wrong place")
                 else:
                     found[record.kind].append(record)
                     latest = place if record.kind == _CHUNK else -1
@@ -113,7 +113,7 @@ class BagFile(ChunkedFile):
         if place < len(self.file):
             self._passed.append((place, len(self.file)))
         if any(header.text(b"encryptor") for header in found[_BAG]):
-            raise LogError("is encrypted", "where its key is, `rosbag decompress` writes it plain", self.path)
+            raise LogError("is encrypted", "decrypt it with its key: `rosbag decompress`", self.path)
         if len(found[_BAG]) != 1:
             self.damage(len(_MAGIC), f"the bag has {len(found[_BAG])} headers")
         self.has_summary = any(header.fields.get(b"index_pos", b"").strip(b"\0") for header in found[_BAG])
@@ -157,7 +157,7 @@ class BagFile(ChunkedFile):
             metadata={name: described.text(name.encode()) for name in ("md5sum", "callerid")},
         )
         if channel.id >= _MOST_CHANNELS:
-            raise LogError("has more than 65536 connections", "no vehicle records so many", self.path)
+            raise LogError("has more than 65536 connections", "check the file: no vehicle records so many", self.path)
         if self._connections.setdefault(number, channel) != channel:
             raise DamageError(record.offset, f"connection {number} is not the same in two places")
 
@@ -183,11 +183,11 @@ class BagFile(ChunkedFile):
                 if np.array_equal(entries["place"], places[is_own]) and np.array_equal(stamps_ns, time_ns[is_own]):
                     named += len(entries)
             if (indexes or self.has_summary) and named != connection.size:
-                raise DamageError(chunk.start, "the indexes of a chunk do not name its messages")
+                raise DamageError(chunk.start, "the indexes of a chunk do not agree with its messages")
         numbers, rows, counts = np.unique(connection, return_inverse=True, return_counts=True)
         ids = np.array(self._ids(numbers.tolist()), np.int64)
         for number in numbers[ids < 0].tolist():
-            self.damage(chunk.start, f"messages are of connection {number}, which is nowhere described")
+            self.damage(chunk.start, f"messages are of connection {number}, which is not defined")
         chunk.counts = Counter(dict(zip(ids.tolist(), counts.tolist(), strict=True)))
         known = ids[rows] >= 0
         self._found[chunk.start] = np.stack([ids[rows], time_ns, time_ns, starts, sizes])[:, known]
@@ -201,7 +201,7 @@ class BagFile(ChunkedFile):
         """Read the entries of an index, (k,)."""
         count, rest = divmod(record.end - record.start, dtype.itemsize)
         if rest or record.number(b"count", 4) != count:
-            raise DamageError(record.offset, f"a record does not have the {count} entries that it says")
+            raise DamageError(record.offset, f"a record does not have its {count} entries")
         return np.frombuffer(self.file.read(record.start, record.end), dtype)
 
 
@@ -220,13 +220,13 @@ def _record_at(read: Read, place: int, end: int) -> _Record:
 
 
 def _fields(header: memoryview, place: int) -> dict[bytes, bytes]:
-    """Read named fields, which are at a place of the file."""
+    """Read the named fields at a place of the file."""
     fields, start = {}, 0
     while start < len(header):
         size = int.from_bytes(header[start : start + 4], "little")
         name, sign, value = bytes(header[start + 4 : start + 4 + size]).partition(b"=")
         if size > len(header) - start - 4 or not sign or name in fields:
-            raise DamageError(place, "the header of a record is none of named fields")
+            raise DamageError(place, "the header of a record has no named fields")
         fields[name] = value
         start += 4 + size
     return fields
@@ -262,7 +262,7 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
         if record.kind != _MESSAGE:
             others.append(record)
             if len(others) > _MOST_OTHERS:
-                raise DamageError(int(places[row]), f"more than {_MOST_OTHERS} records of a chunk are no messages")
+                raise DamageError(int(places[row]), f"more than {_MOST_OTHERS} records of a chunk are not messages")
             continue
         nanosec, sec = divmod(record.number(b"time", 8), 1 << 32)
         connections[row], time_ns[row] = record.number(b"conn", 4), sec * NS_PER_S + nanosec

@@ -54,7 +54,7 @@ class SqliteFile(LogFile):
             for table in ("topics", "messages"):
                 if not self._has(table):
                     what = f"is an SQLite file without the table '{table}' of a bag"
-                    raise LogError(what, "name a bag of ROS 2", self.path)
+                    raise LogError(what, "give a bag of ROS 2", self.path)
             self.library = "rosbag2"
             if self._has("schema", {"ros_distro"}):  # files before Iron do not tell
                 for (distro,) in self._base.execute("SELECT ros_distro FROM schema LIMIT 1"):
@@ -67,7 +67,7 @@ class SqliteFile(LogFile):
         found, announced = self._ids.size, int(self._ids.max(initial=0))
         if announced == found:
             return ()
-        text = f"the messages of {self.path.name} are numbered up to {announced}, and {found} are found"
+        text = f"the messages of {self.path.name} are numbered up to {announced}, but {found} were found"
         return (Note("log_summary", text, abs(announced - found), Severity.WARNING, COPY_AGAIN),)
 
     def log_times(self) -> dict[int, TimeNs]:
@@ -102,12 +102,12 @@ class SqliteFile(LogFile):
                 with beside.open("rb") as stream:
                     start = stream.read(8)
                 if any(start):  # one that is done with is empty or begins with zeros
-                    hint = f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` brings them together"
+                    hint = f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` merges them"
                     raise LogError(f"is not complete: {beside.name} {what}", hint, self.path)
 
     def _damaged(self, found: str) -> UnusableFileError:
         saved = self.path.with_name(f"saved_{self.path.name}")
-        hint = f"copy it again, or save what can be with `sqlite3 {self.path} .recover | sqlite3 {saved}`"
+        hint = f"copy it again, or recover it with `sqlite3 {self.path} .recover | sqlite3 {saved}`"
         return UnusableFileError(f"is damaged: {found}", hint, self.path)
 
     @contextmanager
@@ -120,7 +120,7 @@ class SqliteFile(LogFile):
             raise self._damaged(f"SQLite says '{error}'") from error
 
     def _opened(self) -> sqlite3.Connection:
-        """Open it so that nothing in it can do more than give its rows."""
+        """Open it read-only, without running any code in it."""
         name = quote(os.fsencode(os.path.realpath(self.path)))
         base = sqlite3.connect(f"file:{name}?mode=ro&immutable=1", uri=True, check_same_thread=False)
         weakref.finalize(self, base.close)
@@ -157,7 +157,7 @@ class SqliteFile(LogFile):
         whole = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
         wrong = self._base.execute(f"SELECT count(*) FROM messages WHERE NOT ({whole})").fetchone()[0]
         if wrong:
-            raise self._damaged(f"{wrong} rows of the table 'messages' are no messages")
+            raise self._damaged(f"{wrong} rows of the table 'messages' are not messages")
         cursor = self._base.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
         parts = [np.empty((3, 0), np.int64)]
         while batch := cursor.fetchmany(_ROWS):
@@ -167,7 +167,7 @@ class SqliteFile(LogFile):
         topic_ids, places, counts = np.unique(self._topic_ids, return_inverse=True, return_counts=True)
         for id_, count in zip(topic_ids.tolist(), counts.tolist(), strict=True):
             if id_ not in self._numbers:
-                raise self._damaged(f"{count} messages are of topic {id_}, which it does not list")
+                raise self._damaged(f"{count} messages are of topic {id_}, which is not defined")
         self._channel_ids = np.array([self._numbers[id_] for id_ in topic_ids.tolist()], np.int64)[places]
         found = np.bincount(self._channel_ids, minlength=len(listed)).tolist()
         self.channels = tuple(
