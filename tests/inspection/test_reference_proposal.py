@@ -80,7 +80,7 @@ def test_a_topic_that_only_has_the_type_of_a_reference_is_not_proposed(tmp_path:
     settings = proposed(tmp_path / "dive.mcap", [*messages(in_world=False), *depths])
     topic = settings["reference.topic"]
     assert (topic.value, topic.open) == ("/truth", "")
-    assert topic.seen.startswith("/depth ")
+    assert topic.seen.startswith("not /depth: ")
 
 
 def test_between_two_that_could_be_it_a_person_decides(tmp_path: Path) -> None:
