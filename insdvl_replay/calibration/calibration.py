@@ -268,6 +268,7 @@ def _warnings(
     for first, second, correlation in correlations(found, INSEPARABLE):
         yield f"{first} and {second} are strongly correlated ({correlation:+.2f})"
     for dive in dives:
+        correlated = []
         for axis, scatter, correlation in zip(AXES, dive.axes("after"), dive.axes("autocorrelation"), strict=True):
             if scatter > TOO_LARGE:
                 yield (
@@ -275,10 +276,12 @@ def _warnings(
                     "Check axes and units"
                 )
             elif correlation > CORRELATED:
-                yield (
-                    f"{dive.dive}: innovations {axis} are correlated (lag-1 correlation {correlation:.2f}). The DVL "
-                    "smooths, or has less noise along this axis than along the others"
-                )
+                correlated.append(f"{axis} {correlation:.2f}")
+        if correlated:
+            yield (
+                f"{dive.dive}: innovations are correlated (lag-1 correlation: {', '.join(correlated)}). The DVL "
+                "smooths, or has less noise along these axes than along the others"
+            )
     for found_noise in noise:
         if found_noise.status == Estimated.IMPLAUSIBLE:
             sensors = CLASSES[found_noise.parameter].name

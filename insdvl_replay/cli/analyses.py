@@ -41,11 +41,12 @@ def inspect(
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
 ) -> int:
-    """Print the contents of a log, the topics that a replay would use, and what would stop it.
+    """Print what is in a log and what would stop a replay.
 
-    If a role has no topic, it prints settings to start from. --propose writes a settings file for `run -c`. Trial runs
-    find noise, mounting and heading; comments in the file mark what you must decide. The exit code is 0 whether or not
-    the log can be replayed, and 3 if a file cannot be read. Such a file does not stop the others.
+    For each role it prints the topic that a replay would use, and why. If a role has no topic, it prints settings to
+    start from. --propose writes a settings file for `run -c`. Trial runs find noise, mounting and heading; comments in
+    the file mark what you must decide. The exit code is 0 whether or not the log can be replayed, and 3 if a file
+    cannot be read. Such a file does not stop the others.
 
     \b
     Example:
@@ -160,11 +161,12 @@ def calibrate(
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
 ) -> int:
-    """Estimate lever arm, mounting, delay and scale of the DVL, and the noise of the sensors.
+    """Estimate the DVL's geometry and the sensors' noise.
 
-    The estimate uses the innovations of the dives and needs no reference. It needs turns and changes of speed.
-    Parameters that the dives cannot determine are left unchanged. Nothing is applied: -o writes settings for `run -c`.
-    The exit code is 0 if something was estimated, and 3 if nothing was or a log cannot be used.
+    The geometry is lever arm, mounting, delay and scale. The estimate uses the innovations of the dives and needs no
+    reference. It needs turns and changes of speed. Parameters that the dives cannot determine are left unchanged.
+    Nothing is applied: -o writes settings for `run -c`. The exit code is 0 if something was estimated, and 3 if nothing
+    was or a log cannot be used.
 
     \b
     Example:
@@ -292,8 +294,9 @@ StudyOutput = Annotated[
 
 @study.callback()
 def about_studies() -> None:
-    """Run a study over many runs or dives: Monte Carlo, acceleration window or observability. Writes CSV tables and
-    pictures.
+    """Run a Monte Carlo, window or observability study.
+
+    Each study writes tables as CSV, and pictures.
     """
 
 

@@ -46,7 +46,7 @@ def compare(
     quiet: opt.Quiet = False,
     color: opt.Colored = "auto",
 ) -> None:
-    """Compare stored results: which values changed, by how much, and whether they are better.
+    """Compare stored results and show what changed.
 
     Changed verdicts come first, then differences in settings, tool and log, then the evidence that changed. Dives are
     matched by the hash of their log, then by name. Missing rows and missing numbers count as worse.

@@ -259,7 +259,7 @@ def explain(
     ] = None,
     verbose: opt.Verbose = 0,
 ) -> None:
-    """Print the meaning of a note's code, its effect on the results, and the cure.
+    """Explain the code of a note: meaning, effect and cure.
 
     \b
     Example:

@@ -1,1 +1,1 @@
-"""Simulated dives: an exact motion, and sensors with known errors. Its sines are the same on every processor."""
+"""Simulated dives: an exact motion, and sensors with known errors. Results are the same on every processor."""

@@ -1,4 +1,4 @@
-"""A simulated dive: the exact one, and the one that its sensors report."""
+"""Simulate a dive with perfect sensors, or with sensor errors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,8 +39,8 @@ from insdvl_replay.sim.trajectories import SCENARIOS, Motion, Scenario, Trajecto
 
 LONGEST_S: Final = 7 * 86400.0  # a week at 100 Hz already fills 10 GB
 START_NS: Final = 1_704_067_200_000_000_000  # first IMU sample of every dive, 2024-01-01T00:00:00Z
-FIRST_PING_S: Final = 0.3717  # pings fall between IMU samples, as they do at sea
-BLOCK: Final = 100_000  # IMU samples worked on at once, which bounds the memory that a long dive takes
+FIRST_PING_S: Final = 0.3717  # pings are between IMU samples, as in real logs
+BLOCK: Final = 100_000  # IMU samples per block, to limit the memory for a long dive
 
 NO_SENSORS: Final[Mapping[str, SensorErrors]] = MappingProxyType({})
 NO_RATES: Final[Mapping[str, float]] = MappingProxyType({})
@@ -49,7 +49,7 @@ T = TypeVar("T")
 
 
 def named(kind: str, name: str, known: Mapping[str, T]) -> T:
-    """Return what a name of a kind stands for; a ConfigError suggests another name."""
+    """Return the entry with this name; the ConfigError for an unknown name suggests another."""
     require_known(kind, name, known)
     return known[name]
 
@@ -61,12 +61,12 @@ def simulate_dive(
     grade: str = "fog",
     imu_errors: ImuErrors | None = None,  # instead of the grade's
     dvl_errors: DvlErrors | None = None,
-    sensors: Mapping[str, SensorErrors] = NO_SENSORS,  # beside IMU and DVL, by their names in `core.states.SENSORS`
+    sensors: Mapping[str, SensorErrors] = NO_SENSORS,  # besides IMU and DVL, by their names in `core.states.SENSORS`
     dvl_delay_s: float = 0.0,
     dvl_scale: float = 1.0,
     **exact_options: Any,  # of `exact_dive`
 ) -> Dive:
-    """Simulate a dive as its sensors report it; the reference is the exact motion, truth holds the biases.
+    """Simulate a dive with sensor errors; the reference is the exact motion, truth contains the biases.
 
     The same arguments give the same bytes on every processor.
     """
@@ -79,7 +79,7 @@ def simulate_dive(
 
 
 def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
-    """Stamp the pings later than they are valid, and multiply the velocity that they read."""
+    """Delay the stamps of the pings, and scale their velocities."""
     _check_positive("DVL scale", "times the velocity", scale)
     if not abs(delay_s) < LONGEST_S:
         raise ConfigError(f"DVL delay is {delay_s:g} s", "give the delay in s")
@@ -92,7 +92,7 @@ def late_and_long(dive: Dive, delay_s: float, scale: float) -> Dive:
 def exact_dive(
     scenario: str | Scenario,  # a name in `trajectories.SCENARIOS`, or anything with the functions of a scenario
     *,
-    duration_s: float | None = None,  # cuts the scenario, or lets the vehicle go straight on
+    duration_s: float | None = None,  # a longer one continues straight ahead
     imu_rate_hz: float = 100.0,  # starts with the dive, as the reference
     dvl_rate_hz: float = 1.0,  # starts at `FIRST_PING_S`
     reference_rate_hz: float = 5.0,
@@ -101,14 +101,16 @@ def exact_dive(
     lost_beams: Sequence[LostBeam] = (),
     lever_arm_m: Vector = (0.0, 0.0, 0.0),  # IMU to DVL, in b
     mounting_rpy_deg: Vector = (0.0, 0.0, 0.0),  # the DVL's mounting rotation, d to b
-    sensor_rates_hz: Mapping[str, float] = NO_RATES,  # beside IMU and DVL; they start with the dive, at the IMU
+    sensor_rates_hz: Mapping[
+        str, float
+    ] = NO_RATES,  # besides IMU and DVL; they start with the dive, at the IMU's place
 ) -> Dive:
     """Simulate a dive with perfect sensors. A Monte Carlo study needs it once, and `add_errors` for each run."""
-    way = named("scenario", scenario, SCENARIOS) if isinstance(scenario, str) else scenario
-    end_s = way.duration_s if duration_s is None else duration_s
+    course = named("scenario", scenario, SCENARIOS) if isinstance(scenario, str) else scenario
+    end_s = course.duration_s if duration_s is None else duration_s
     _check_positive("duration", "s", end_s)
     if end_s > LONGEST_S:
-        raise ConfigError(f"duration is {end_s:g} s, and may be {LONGEST_S:g} s at most", f"--duration {LONGEST_S:g}")
+        raise ConfigError(f"duration is {end_s:g} s, more than {LONGEST_S:g} s", f"--duration {LONGEST_S:g}")
     rates_hz = {"IMU": imu_rate_hz, "DVL": dvl_rate_hz, "reference": reference_rate_hz, **sensor_rates_hz}
     for sensor, rate_hz in rates_hz.items():
         _check_positive(f"{sensor} rate", "Hz", rate_hz)
@@ -119,20 +121,20 @@ def exact_dive(
     for span in spans:
         if not span.start_s < span.end_s:
             raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s does not end after its start",
-                "give its start first, then its end, in seconds from the start of the dive",
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s must end after its start",
+                "give START:END in seconds from the start of the dive",
             )
         if span.start_s >= end_s or span.end_s <= 0.0:
             raise ConfigError(
-                f"an outage from {span.start_s:g} s to {span.end_s:g} s lies outside the dive, which lasts {end_s:g} s",
-                "give its start and its end in seconds from the start of the dive, or a longer --duration",
+                f"an outage from {span.start_s:g} s to {span.end_s:g} s is outside the dive of {end_s:g} s",
+                "give START:END in seconds from the start of the dive, or a longer --duration",
             )
         if not 0 <= span.beam < beams:
-            raise ConfigError(f"beam {span.beam} cannot be lost", f"beams are counted from 0 to {beams - 1}")
-    trajectory = Trajectory(way, end_s)
+            raise ConfigError(f"beam {span.beam} does not exist", f"beams are counted from 0 to {beams - 1}")
+    trajectory = Trajectory(course, end_s)
 
     def grid_ns(first_s: float, rate_hz: float) -> TimeNs:
-        # The end is included whatever its last bit.
+        # The end is included for any rounding.
         count = max(0, int(np.floor((end_s - first_s) * rate_hz + 1e-6)) + 1)
         return START_NS + np.rint((first_s + np.arange(count) / rate_hz) * 1e9).astype(np.int64)
 
@@ -170,7 +172,7 @@ def exact_dive(
     )
     unbiased = np.zeros_like(reference.velocity_n)
     return Dive(
-        name=scenario if isinstance(scenario, str) else way.about,
+        name=scenario if isinstance(scenario, str) else course.about,
         imu=ImuColumns(imu_ns, np.concatenate(forces_b), np.concatenate(rates_b)),
         dvl=DvlColumns(ping_ns, beam_velocity_mps, vectors_d),
         reference=reference,
@@ -181,7 +183,7 @@ def exact_dive(
 
 def _check_positive(what: str, unit: str, value: float) -> None:
     if not 0.0 < value < np.inf:
-        raise ConfigError(f"{what} is {value:g} {unit}, and must be above 0", f"give the {what} in {unit}")
+        raise ConfigError(f"{what} must be above 0, found {value:g} {unit}", f"give the {what} in {unit}")
 
 
 def add_errors(
@@ -193,11 +195,11 @@ def add_errors(
 ) -> Dive:
     """Add sensor errors to an exact dive, with the biases as truth, at the times of the exact dive's truth.
 
-    Accelerometers, gyros and DVL draw from streams of their own, by numpy's ziggurat, which asks the C library for a
-    logarithm once in thousands of draws; readings are rounded to their quantum after it.
+    Accelerometers, gyros and DVL have separate random streams. numpy's ziggurat calls the C library's logarithm once in
+    thousands of draws; readings are rounded to their quantum afterwards.
     """
     if seed < 0:
-        raise ConfigError(f"seed {seed} is negative", f"--seed {-seed}")
+        raise ConfigError(f"seed must be at least 0, found {seed}", f"--seed {-seed}")
     if exact.truth is None:
         raise ValueError("errors are added to an exact dive, which holds truth")
     accel_rng, gyro_rng, dvl_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))

@@ -1,7 +1,7 @@
-"""Sensor errors: of IMUs a bias that wanders, white noise and the steps of their digits; of a DVL those of its beams.
+"""Sensor errors: bias with random walk, white noise and quantisation of IMUs; beam errors of a DVL.
 
-White noise and random walk as IEEE Std 952, annex C, defines them by their Allan variance. The sensors beside IMU and
-DVL have white noise.
+White noise and random walk are defined by their Allan variance, as in IEEE Std 952, annex C. Other sensors have white
+noise.
 """
 
 import math
@@ -32,7 +32,7 @@ class ImuErrors:
     gyro_white_rad_rts: float = 0.0
     accel_bias_sd_mps2: float = 0.0  # of the bias at the start of a dive
     gyro_bias_sd_radps: float = 0.0
-    accel_bias_walk_mps2_rts: float = 0.0  # random walk K: after t the bias has moved by K sqrt(t)
+    accel_bias_walk_mps2_rts: float = 0.0  # random walk K: after t the sd of the bias has grown by K sqrt(t)
     gyro_bias_walk_radps_rts: float = 0.0
     accel_quantum_mps2: float = 0.0  # step to which readings are rounded; 0 for none
     gyro_quantum_radps: float = 0.0
@@ -88,7 +88,7 @@ def quantise(values: Floats, quantum: float) -> Floats:
 def add_imu_errors(
     exact: ImuColumns, errors: ImuErrors, accel_rng: np.random.Generator, gyro_rng: np.random.Generator
 ) -> tuple[ImuColumns, TruthColumns]:
-    """Add bias, white noise and steps; return the readings and the biases that were drawn."""
+    """Add bias, white noise and quantisation; return the readings and the drawn biases."""
 
     def bias(start_sd: float, walk: float, rng: np.random.Generator) -> Floats:
         steps = walk * root_s * rng.standard_normal(shape)
@@ -121,12 +121,12 @@ class DvlErrors:
     beam_bias_sd_mps: float = 0.001  # a beam's constant offset, drawn once a dive
     beam_scale_sd: float = 0.002  # a beam's scale error, drawn once a dive
     beam_quantum_mps: float = 1e-4  # step to which readings are rounded; 0 for none
-    velocity_sd_mps: float = 0.0  # white noise on each axis of the velocity, which the beams of a ping share
+    velocity_sd_mps: float = 0.0  # white noise on each axis of the velocity, common to the beams of a ping
 
 
 @dataclass(frozen=True)
 class LostBeam:
-    """A span in which one beam finds no bottom."""
+    """A span without bottom track of one beam."""
 
     beam: int  # row of `beam_vectors_d`, from 0
     start_s: float  # from the start of the dive
@@ -136,7 +136,7 @@ class LostBeam:
 def beam_vectors_d() -> Floats:
     """Return the unit vectors of a Janus of four beams, from the instrument towards the seabed, shape (4, 3).
 
-    They are rounded to twelve digits, so that no machine's last bit of a sine is in a log.
+    They are rounded to twelve digits, so that logs do not depend on the processor.
     """
     return np.round(beam_vectors(), 12)
 
@@ -144,7 +144,7 @@ def beam_vectors_d() -> Floats:
 def add_dvl_errors(exact: DvlColumns, errors: DvlErrors, rng: np.random.Generator) -> DvlColumns:
     """Add errors to exact beams; lost ones stay lost."""
     if exact.beam_velocity_mps is None or exact.beam_vectors_d is None:
-        raise ValueError("the errors of a DVL are drawn for its beams, and these columns hold none")
+        raise ValueError("DVL errors need beams, and these columns have none")
     pings, beams = exact.beam_velocity_mps.shape
     scale = errors.beam_scale_sd * rng.standard_normal(beams)
     bias = errors.beam_bias_sd_mps * rng.standard_normal(beams)
@@ -164,7 +164,7 @@ class SensorErrors:
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """One kind of sensor beside IMU and DVL."""
+    """One kind of sensor besides IMU and DVL."""
 
     unit: str  # of its noise, for the user
     si: float  # one of it in the unit of the readings
@@ -173,7 +173,7 @@ class SimulatedSensor:
 
 SIMULATED: Final[Mapping[str, SimulatedSensor]] = {
     "depth": SimulatedSensor("m", 1.0, lambda motion: np.asarray(-motion.position[:, 2:])),
-    # To twelve digits: the arcs of two processors differ beyond.
+    # Twelve digits: further ones differ between processors.
     "heading": SimulatedSensor("deg", DEG, lambda motion: np.asarray(np.round(rpy_from_mat(motion.mat_nb)[:, 2:], 12))),
     "position": SimulatedSensor("m", 1.0, lambda motion: motion.position),
 }

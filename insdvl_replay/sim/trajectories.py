@@ -1,9 +1,9 @@
-"""How the vehicle moves, as smooth functions of time with exact derivatives, and what perfect sensors feel.
+"""Motion of the vehicle as smooth functions of time with exact derivatives, and readings of perfect sensors.
 
-Times are seconds from the start of the dive and may be any; after its last segment a vehicle goes straight on. Nothing
-is differentiated numerically. Velocity, acceleration and rates are formulae in time; only the position is integrated.
-All operations are rounded alike by every processor, so that a motion is the same to the last bit: sums, products,
-quotients and roots, sines of our own, and no matrix products, whose order of summation varies.
+Times are seconds from the start of the dive. After the last segment a vehicle continues straight ahead. Velocity,
+acceleration and rates are formulae in time; only the position is integrated. Results are equal to the last bit on
+every processor: only sums, products, quotients, roots and sines of this module are used. There are no matrix products,
+because their order of summation varies.
 """
 
 from collections.abc import Mapping
@@ -57,7 +57,7 @@ RAMP_S: Final = 2.0  # time in which a turn rate grows from nothing to its full 
 
 @dataclass(frozen=True)
 class Wave:
-    """A quantity that swings around its mean: ``mean + amplitude sin(2 pi t / period_s)``."""
+    """A quantity that oscillates around its mean: ``mean + amplitude sin(2 pi t / period_s)``."""
 
     mean: float = 0.0  # in the unit of the quantity, as the amplitude
     amplitude: float = 0.0
@@ -77,7 +77,7 @@ class Wave:
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of the way with one turn, or none.
+    """A part of the track with at most one turn.
 
     The turn rate rises in `RAMP_S`, holds, and falls in `RAMP_S`. Both ramps are the polynomial 3u^2 - 2u^3, which
     gives the turn rate a continuous derivative.
@@ -125,7 +125,7 @@ def _ramp_area(u: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A way through the water."""
+    """Speed, attitude and track of a simulated dive."""
 
     about: str  # in one line
     duration_s: float  # unless the dive is asked to be shorter or longer
@@ -173,7 +173,7 @@ class Scenario:
 
 
 def _figure_eight() -> tuple[Segment, ...]:
-    """Make an eight of straight lines: two triangles that share the corner in which the way crosses itself.
+    """Make an eight of straight lines: two triangles with a common corner, where the track crosses itself.
 
     Four turns by 138.9 deg, two to each side, are 555 deg in 394 s: 1.41 deg/s in the mean.
     """
@@ -188,7 +188,7 @@ def _lawnmower() -> tuple[Segment, ...]:
 
 
 def _calibration() -> tuple[Segment, ...]:
-    """Make turns to both sides, as far apart as it takes to gain speed between them."""
+    """Make turns to both sides, with legs between them to gain speed."""
     leg = Segment(20.0)
     return tuple(part for angle_deg in (90.0, -120.0, 150.0, -90.0, 180.0, -150.0, 120.0, -180.0) * 2
                  for part in (leg, turn(angle_deg, 12.0)))  # fmt: skip
@@ -205,10 +205,10 @@ SCENARIOS: Final[Mapping[str, Scenario]] = MappingProxyType(
             roll_deg=Wave(0.0, 1.0, 17.0),
             pitch_deg=Wave(0.0, 1.0, 31.0),
         ),
-        "lawnmower": Scenario("legs of 300 s with U-turns, slowly", 1500.0, Wave(0.6 / 3.6), _lawnmower()),
+        "lawnmower": Scenario("slow legs of 300 s with U-turns", 1500.0, Wave(0.6 / 3.6), _lawnmower()),
         "static": Scenario("at rest", 300.0, Wave(0.0)),
         "calibration": Scenario(
-            "all that shows how a DVL is built in: turns, changes of speed, sway, heave, roll and pitch",
+            "every manoeuvre for calibration: turns, changes of speed, sway, heave, roll and pitch",
             400.0,
             Wave(1.2, 0.9, 31.0),
             _calibration(),

@@ -40,7 +40,7 @@ FAILING = PASSING.replace("converges", "converges fully").replace("40", "99")
 WARNING = FAILING + 'level = "warn"\n'
 BASELINE = """
 [[gate]]
-name = "no state becomes less sure"
+name = "no state becomes less certain"
 table = "improvement"
 column = "sd"
 baseline = "baselines/{log}.json"
