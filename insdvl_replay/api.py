@@ -1,7 +1,7 @@
-"""The public names for Python: settings, a replay, a result that shows itself in a notebook and holds data frames.
+"""The public Python interface: settings, a replay, and a result with data frames and a notebook view.
 
-They are reached as ``from insdvl_replay import load_config, replay_log, read_result`` and stay as they are; all below
-them may move.
+Use ``from insdvl_replay import load_config, replay_log, read_result``. These names are stable; all other modules may
+change.
 """
 
 import os
@@ -36,24 +36,24 @@ def load_config(
     settings: Mapping[str, object] | Sequence[str] = (),
     allow_code: bool = False,
 ) -> Config:
-    """Resolve settings, as the command line does.
+    """Return the resolved settings, as the command line does.
 
     Parameters
     ----------
     *files : str or Path
-        TOML, later ones on top of earlier ones.
+        TOML files. Later files override earlier ones.
     preset : str, optional
         ``levy-klein`` (the default), ``fog``, ``tactical`` or ``mems``.
     settings : mapping or sequence of str
-        Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Lists may be tuples or
-        arrays, numbers NumPy's, and files paths; a mapping sets the keys in it and leaves others as they are.
+        Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Values may be tuples,
+        NumPy arrays and numbers, and paths. Nested mappings set only their own keys.
     allow_code : bool
-        The settings may name your code, as ``module:Class``. A replay with them runs it.
+        Allow settings that name your code, as ``module:Class``. A replay then runs this code.
 
     Raises
     ------
     ConfigError
-        A key is not known, its value cannot be, or it names code without ``allow_code``.
+        A key or value is not valid, or a setting names code without ``allow_code``.
     """
     pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
     return _load_config(preset, [Path(file) for file in files], pairs, allow_code=allow_code)
@@ -69,9 +69,9 @@ def _pairs(settings: Mapping[str, object], within: str = "") -> Iterator[str]:
 
 
 def _plain(key: str, value: object) -> object:
-    """Make of what is NumPy's, or a path, what TOML has: NumPy writes its own name into a number's."""
+    """Convert NumPy values and paths to TOML values."""
     if value is None:
-        raise ConfigError(f"{key}: None is no value", "leave the key out, and its default holds")
+        raise ConfigError(f"{key}: None is not a valid value", "leave the key out to use its default")
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
@@ -86,18 +86,18 @@ def replay_log(
     allow_damaged: bool = False,
     name: str | None = None,
 ) -> "Result":
-    """Replay a dive through the configured filters.
+    """Replay a dive through the configured filters and return the result.
 
     Parameters
     ----------
     log : str, Path or sequence of them
-        An MCAP file, a bag folder, or several that are one dive.
+        An MCAP file or a bag folder, or several of one dive.
     config : Config, optional
-        From `load_config`; left out: the default settings.
+        From `load_config`. Default: the default settings.
     allow_damaged : bool
-        Use what can be read of a damaged log.
+        Use the readable part of a damaged log.
     name : str, optional
-        Of the dive, if not that of the log.
+        Name of the dive. Default: the name of the log.
 
     Raises
     ------
@@ -115,27 +115,27 @@ def replay_log(
 
 
 def read_result(folder: Text) -> "Result":
-    """Read a result folder that `run` or `Result.save` wrote.
+    """Return the result in a folder that `run` or `Result.save` wrote.
 
     Raises
     ------
     ConfigError
-        There is none, or several.
+        The folder holds no result, or several.
     ResultError
-        It cannot be read, or is of a version that this one cannot read.
+        The result cannot be read, or is of a version that cannot be read.
     """
     found, report = read_one_result(Path(folder), Report)
     return Result(report, folder=found)
 
 
 class UnknownNameError(ConfigError, KeyError):
-    """A result has nothing of a name; the hint is the nearest name, or those there are."""
+    """A result has no table or filter of this name; the hint lists near or all names."""
 
     __str__ = Exception.__str__  # a KeyError's is in quotes
 
 
 class Named(dict[str, "pd.DataFrame"]):
-    """Data frames by name; what is not among them is an UnknownNameError."""
+    """Data frames by name; an unknown name raises an UnknownNameError."""
 
     def __init__(self, kind: str, frames: "Mapping[str, pd.DataFrame]") -> None:
         super().__init__(frames)
@@ -147,25 +147,25 @@ class Named(dict[str, "pd.DataFrame"]):
 
 @dataclass(frozen=True)
 class Result:
-    """One dive, replayed or read back. In a notebook it shows the word on each filter and the evidence for it."""
+    """The result of one dive. In a notebook it shows the verdict on each candidate and the evidence."""
 
-    report: Report  # all of it as data
-    folder: Path | None = None  # where it is, if it was read
+    report: Report  # the complete result as data
+    folder: Path | None = None  # the folder that it was read from
     _replay: "Replay | None" = field(default=None, repr=False)
 
     @property
     def name(self) -> str:
-        """Name of the dive."""
+        """The name of the dive."""
         return self.report.log.name
 
     @property
     def words(self) -> dict[str, str]:
-        """The word on each candidate: better, worse, mixed, equivalent, undecided or not evaluated."""
+        """The verdict on each candidate: better, worse, mixed, equivalent, undecided or not evaluated."""
         return {name: str(candidate.verdict) for name, candidate in self.report.filters.items()}
 
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:
-        """Each table as a data frame, by its name, such as evidence or outage; NaN for what is missing."""
+        """Each table as a data frame, by name, such as evidence or outage; missing values are NaN."""
         import pandas as pd
         from msgspec.structs import asdict
 
@@ -179,7 +179,7 @@ class Result:
 
     @property
     def trajectory(self) -> "pd.DataFrame":
-        """All filters once a second: states, standard deviations and errors, with columns filter and time_s."""
+        """States, standard deviations and errors of all filters once a second, with columns filter and time_s."""
         import pandas as pd
 
         from insdvl_replay.core.states import COLUMNS
@@ -190,7 +190,7 @@ class Result:
         else:
             read = read_trajectory((self.folder or Path()) / TRAJECTORY_FILE)
             if read is None:
-                raise ResultError(f"{self.folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
+                raise ResultError(f"{self.folder}: has no readable {TRAJECTORY_FILE}", "replay the log again")
             found = read
         frames = [
             pd.DataFrame(values, columns=list(COLUMNS)).assign(filter=name, time_s=found.time_s)
@@ -200,11 +200,11 @@ class Result:
 
     @property
     def histories(self) -> dict[str, "pd.DataFrame"]:
-        """The whole history of each filter, of a replay that was not read back; see `result_files.history_frame`."""
+        """The full history of each filter. Only a result of `replay_log` has it; see `result_files.history_frame`."""
         from insdvl_replay.results.result_files import history_frame
 
         if self._replay is None:
-            raise ValueError(f"{self.name}: was read back, which has the trajectory alone; replay its log")
+            raise ValueError(f"{self.name}: a stored result has only the trajectory. Replay its log for the histories")
         frames = {history.filter: history_frame(history) for history in self._replay.histories}
         return Named("filter", frames)
 
@@ -214,12 +214,12 @@ class Result:
         Raises
         ------
         ConfigError
-            It exists and must not be replaced.
+            The folder exists and ``force`` is not set.
         """
         from insdvl_replay.results.result_files import save_replay
 
         if self._replay is None:
-            raise ValueError(f"{self.name}: was read from {self.folder}, where it lies already")
+            raise ValueError(f"{self.name}: is already stored in {self.folder}")
         target = Path(folder)
         with result_folder(target, force=force) as made:
             save_replay(self._replay, made)

@@ -3,18 +3,18 @@
 A command fills a `Result` and hands it on::
 
     class DelayRow(Struct, frozen=True):
-        title: ClassVar = "Delays: how late the DVL is"
+        title: ClassVar = "Delays of the DVL"
 
         dive: Annotated[str, Col(head="dive")]
-        delay_s: Annotated[Number, Col("Null where nothing shows it.", head="delay\n[s]")]
+        delay_s: Annotated[Number, Col("Null if it cannot be determined.", head="delay\n[s]")]
 
     result = Result("calibration", "Calibration from 3 dives", [Callout("Estimated: delay.", "good")], {"delays": rows})
     write_stdout(written(result, format_))  # cli.screen; any --format
     save_result(result, folder)               # show.render; page, figures, CSV, settings, report.json
 
-A table is a list of rows of one type (see `tables`), or a pandas frame. CSV and JSON have all of it. People see the
-columns that have a head. Where that is not enough, `display` holds what they see, made by ``show.document.table_of``.
-The order is title, sentences, figures, tables, notes, provenance; a command with another order gives `document`.
+A table is a list of rows of one type (see `tables`), or a pandas frame. CSV and JSON have all columns. Shown tables
+have the columns with a head; `display` replaces them by tables of ``show.document.table_of``. The order is title,
+sentences, figures, tables, notes, provenance; a command with another order sets `document`.
 """
 
 import hashlib
@@ -39,7 +39,7 @@ from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import CandidateVerdict, Tables
 
 if TYPE_CHECKING:
-    # Only their types are needed: who looks into a stored result must not wait for them.
+    # Only types are needed: reading a stored result must not wait for these imports.
     import pandas as pd
 
     from insdvl_replay.core.dive_columns import Dive, Floats
@@ -53,7 +53,7 @@ REFERENCE: Final = "reference"
 LIMIT: Final = "limit"
 REJECTED: Final = "rejected"
 PREDICTED: Final = "sigma"
-"""Beside the style of a filter: finely dotted."""
+"""Added to the style of a filter: finely dotted."""
 
 
 def filter_style(number: int) -> str:
@@ -69,7 +69,7 @@ class Curve:
     y: "Floats"  # (k,); NaN interrupts the line
     style: str  # class in the style sheet
     points: bool = False
-    label: str = ""  # is written at the end of the line
+    label: str = ""  # text at the end of the line
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Shade:
 
 
 def dashes_on_top(curves: Sequence[Curve]) -> tuple[Curve, ...]:
-    """Draw the baseline, the first, last: curves that equal it are seen through its dashes."""
+    """Return the curves with the baseline last, so that equal curves are visible through its dashes."""
     return (*curves[1:], *curves[:1])
 
 
@@ -105,13 +105,13 @@ class Panel:
     curves: tuple[Curve, ...]  # the last is on top
     bands: tuple[Band, ...] = ()
     levels: tuple[float, ...] = ()  # horizontal lines, drawn as limits
-    y_scale: Scale = "linear"  # on a logarithmic axis, what is not positive is missing
-    y_limits: tuple[float, float] | None = None  # None: as much as the curves need
-    equal: bool = False  # one unit is as long on both axes
-    x_whole: bool = False  # x counts something: ticks are whole numbers
+    y_scale: Scale = "linear"  # a logarithmic axis leaves out values that are not positive
+    y_limits: tuple[float, float] | None = None  # None: fits the curves
+    equal: bool = False  # both axes have the same scale
+    x_whole: bool = False  # ticks are whole numbers
     x_scale: Scale = "linear"
     shades: tuple[Shade, ...] = ()
-    low: bool = False  # as low as others, though both axes are equal
+    low: bool = False  # usual height although `equal`
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Figure:
     """Panels that belong together."""
 
     title: str
-    caption: str  # how they are read
+    caption: str  # explanation
     panels: tuple[Panel, ...]
     legend: tuple[tuple[str, str], ...] = ()  # style and meaning
 
@@ -127,35 +127,35 @@ class Figure:
 # --- The parts of a document, in the order in which they are read.
 
 CellText = str | tuple[str, ...]
-"""What a cell shows: one line, or several."""
+"""Text of a cell: one line, or several."""
 
 
 @dataclass(frozen=True)
 class DisplayTable:
-    """A table as people see it. In HTML, a table with links is alone; others are side by side where there is room."""
+    """A table as shown. In HTML, a table with links has its own row; others are side by side if there is room."""
 
     title: str
-    header: tuple[str, ...]  # with units; a line break is a good place to fold
+    header: tuple[str, ...]  # with units; a line break allows folding
     alignment: str  # a letter for each column: l for words, r for numbers
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
-    title_apart: bool = False  # on a terminal the title is not folded to the width of a narrow table
-    spare: tuple[int, ...] = ()  # columns that a narrow terminal leaves out, the first of them first
-    folds: int = 0  # letters by which other columns may be folded before one is left out
-    links: tuple[str, ...] | None = None  # where the first cell of each row leads; "" is nowhere
-    folded: bool = False  # in HTML, under its title; on paper it is left out
+    title_apart: bool = False  # on a terminal, print the title above the table, unfolded
+    spare: tuple[int, ...] = ()  # columns that a narrow terminal leaves out, in this order
+    folds: int = 0  # letters that may be folded before a column is left out
+    links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none
+    folded: bool = False  # in HTML folded under its title; left out in print
 
 
 @dataclass(frozen=True)
 class Title:
-    """What the whole is, in one line."""
+    """The title of a document, one line."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Callout:
-    """The sentence that a reader takes away; ``good`` or ``bad`` colours it."""
+    """The main sentence; ``good`` or ``bad`` colours it."""
 
     text: str
     tone: str = ""
@@ -163,7 +163,7 @@ class Callout:
 
 @dataclass(frozen=True)
 class Remark:
-    """A sentence, and what helps; the hint is empty where nothing does."""
+    """A sentence with a hint, which may be empty."""
 
     sentence: str
     hint: str = ""
@@ -176,14 +176,14 @@ class Remark:
 
 @dataclass(frozen=True)
 class Sentences:
-    """Sentences that belong together; a terminal leaves a line free before them."""
+    """Sentences that belong together; a terminal prints an empty line before them."""
 
     lines: "tuple[str | Remark | Callout, ...]"
 
 
 @dataclass(frozen=True)
 class Code:
-    """Lines to be copied as they are."""
+    """Lines to copy unchanged."""
 
     text: str
     language: str
@@ -191,14 +191,14 @@ class Code:
 
 @dataclass(frozen=True)
 class Heading:
-    """Begins a chapter of a page, and has a link at the page's top."""
+    """A heading of a page, with a link at the top of the page."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Html:
-    """A part of a page that is HTML already."""
+    """A part of a page as HTML."""
 
     text: str
 
@@ -211,7 +211,7 @@ PRINTED_LONG: Final[tuple[Format, ...]] = ("markdown", "latex")
 
 @dataclass(frozen=True)
 class Only:
-    """Parts that only some formats show."""
+    """Parts for some formats only."""
 
     formats: tuple[Format, ...]
     parts: "tuple[Part, ...]"
@@ -226,7 +226,7 @@ Document = Sequence[Part]
 
 
 class Tool(Struct, frozen=True):
-    """What made the report, and when: the one place where two runs on the same input may differ."""
+    """Program and time of the report. Only this differs between two runs on the same input."""
 
     name: str = "insdvl-replay"
     version: str = __version__
@@ -244,50 +244,52 @@ def this_tool() -> Tool:
 
 @cache
 def package_versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that may change a number."""
+    """Return the versions of Python and of the packages that may affect numbers."""
     packages = ("numpy", "numba", "pandas", "scipy", "mcap")
     return {"python": platform.python_version()} | {name: version(name) for name in packages}
 
 
 @dataclass(frozen=True)
 class Block:
-    """A table as CSV has it, where rows of structs do not say it all: without any, or with columns of the moment."""
+    """A table as CSV: for tables without rows, or with columns that depend on the data."""
 
     header: Sequence[str]
     rows: Iterable[Sequence[object]]
 
     @classmethod
     def of(cls, kind: type[Struct], rows: Iterable[Struct]) -> "Block":
-        """Return rows of a type, of which there may be none."""
+        """Return a table of rows of one type, possibly none."""
         return cls(kind.__struct_fields__, map(astuple, rows))
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a command found."""
+    """The result of a command."""
 
     kind: str  # montecarlo, window, observability, calibration, inspection, comparison, check, replay
     title: str
     sentences: Sequence[Sentence] = ()
     tables: "Mapping[str, Sequence[Struct] | Block | pd.DataFrame]" = field(default_factory=dict)
-    figures: Mapping[str, Figure] = field(default_factory=dict)  # by the names of their files
+    figures: Mapping[str, Figure] = field(default_factory=dict)  # by file name
     notes: Sequence[Note] = ()
     config: Config | None = None  # resolved settings
-    arguments: Mapping[str, Any] = field(default_factory=dict)  # what was asked
-    facts: Mapping[str, Any] = field(default_factory=dict)  # what was found that is neither sentence nor table
+    arguments: Mapping[str, Any] = field(default_factory=dict)  # of the command
+    facts: Mapping[str, Any] = field(default_factory=dict)  # other results, neither sentence nor table
     series: "Mapping[str, Sequence[Struct] | pd.DataFrame]" = field(default_factory=dict)  # long tables: CSV files only
-    block: str = "table"  # head of the CSV column that names the table of a row; empty: of one table, there is none
-    display: Sequence[Part] = ()  # the tables as people see them; empty: each as its row type says
-    document: Sequence[Part] | None = None  # the whole in the command's own order; None: in the usual order
-    data: Any = None  # what JSON holds, where it is not the above
+    block: str = "table"  # name of the CSV column with the table's name; empty for one table
+    display: Sequence[Part] = ()  # the tables as shown; empty: by their row types
+    document: Sequence[Part] | None = None  # all parts in another order; None: in the usual order
+    data: Any = None  # content of the JSON, if it is not the above
 
 
 class ResultJson(Struct, frozen=True):
     """A result as JSON."""
 
     tool: Tool
-    versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
-    kind: Annotated[str, Meta(description="what it is the result of")]
+    versions: Annotated[
+        dict[str, str], Meta(description="versions of Python and of the packages that may affect numbers")
+    ]
+    kind: Annotated[str, Meta(description="the command or study of this result")]
     title: str
     arguments: Annotated[dict[str, Any], Meta(description="what it was asked")]
     facts: Annotated[dict[str, Any], Meta(description="what was found that is neither sentence nor table")]
@@ -295,7 +297,7 @@ class ResultJson(Struct, frozen=True):
     tables: Annotated[
         dict[str, list[dict[str, Any]]], Meta(description="row for row as in the CSV files; null for what is missing")
     ]
-    notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
+    notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
     files: "Files" = {}
 
@@ -307,14 +309,14 @@ Files = Annotated[
         "reports lack it"
     ),
 ]
-"""As `folder.list_files` writes it when all files are there."""
+"""Names and digests, as `folder.list_files` writes them at the end."""
 
 
 # --- The report of a replay, report.json.
 
 
 class Log(Struct, frozen=True):
-    """What was replayed."""
+    """The log that was replayed."""
 
     name: str
     sha256: Annotated[str, Meta(description="of the log's bytes; empty for a dive that was never a file")]
@@ -325,7 +327,7 @@ class Log(Struct, frozen=True):
 
 
 class CodeFile(Struct, frozen=True):
-    """A file of the user's code that was run."""
+    """A file of user code that was run."""
 
     file: str
     sha256: str
@@ -335,14 +337,16 @@ class Report(Struct, frozen=True):
     """The result of one replay."""
 
     tool: Tool
-    versions: Annotated[dict[str, str], Meta(description="of Python and the packages that may move a number")]
+    versions: Annotated[
+        dict[str, str], Meta(description="versions of Python and of the packages that may affect numbers")
+    ]
     log: Log
     baseline: Annotated[str, Meta(description="name of the filter that the candidates are compared with")]
-    filters: Annotated[dict[str, CandidateVerdict], Meta(description="what there is to say of each candidate")]
+    filters: Annotated[dict[str, CandidateVerdict], Meta(description="verdict and mean improvements of each candidate")]
     tables: Tables
-    notes: Annotated[list[Note], Meta(description="what was dropped, assumed or found odd")]
+    notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
-    code: Annotated[dict[str, CodeFile], Meta(description="the user's code that was run, by its word in aiding")] = {}
+    code: Annotated[dict[str, CodeFile], Meta(description="user code that was run, by its name in aiding")] = {}
     files: Files = {}
 
 
@@ -377,7 +381,7 @@ def _code_file(word: str) -> CodeFile:
 
 
 def _without_nan(content: T, kind: type[T]) -> T:
-    """Return what JSON would give back: None for what is missing or not finite."""
+    """Return the value as JSON gives it back: None for missing or not finite numbers."""
     return msgspec.json.decode(msgspec.json.encode(content), type=kind)
 
 
@@ -387,18 +391,18 @@ def as_json(content: Any) -> bytes:
 
 
 def decode_report(data: bytes) -> Report:
-    """Read a report back; a msgspec.ValidationError where the data are something else."""
+    """Read a report; raises a msgspec.ValidationError if the data are not a report."""
     return msgspec.json.decode(data, type=Report)
 
 
-# --- A report as it is read back, of this version or another: with whatever tables, rows and columns it holds.
+# --- A stored report of this or another version, with the tables, rows and columns that it has.
 
 Cell = str | int | float | bool | None
 Row = dict[str, Cell]
 
 
 class StoredLog(Struct, frozen=True):
-    """What was replayed. Of an old result, what it does not report is empty."""
+    """The log that was replayed. Fields that an old result does not have are empty."""
 
     name: str
     sha256: str = ""
@@ -423,10 +427,10 @@ class StoredReport(Struct, frozen=True):
 
 @dataclass(frozen=True)
 class StoredResult:
-    """One result and its place."""
+    """One result and its folder."""
 
-    folder: Path  # that holds the report
-    below: str  # the same from the folder that was searched; ``.`` for that folder itself
+    folder: Path  # of the report
+    below: str  # the folder relative to the searched folder; ``.`` for that folder
     report: StoredReport
 
     @property

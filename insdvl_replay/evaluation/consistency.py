@@ -1,4 +1,4 @@
-"""Whether a filter's innovations are as large as it says, axis by axis, and white.
+"""Whether a filter's innovations are as large as it predicts, axis by axis, and white.
 
 The chi-square interval and the verdict of a mean serve NIS here and NEES in `credibility` and `ensemble`. Source:
 Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", chapter 5.
@@ -21,16 +21,16 @@ from insdvl_replay.core.tables import ConsistencyRow
 from insdvl_replay.core.words import Consistency, Reason, Whiteness
 from insdvl_replay.evaluation.series import samples_in_mean_square
 
-CONFIDENCE: Final = 0.95  # Share of consistent filters whose mean lies inside the interval.
-# A NIS or NEES that is off by a smaller share stands for a standard deviation that is off by less than 5 %.
+CONFIDENCE: Final = 0.95  # Share of consistent filters whose mean is inside the interval.
+# A NIS or NEES that is off by a smaller share means a standard deviation that is off by less than 5 %.
 SMALL_EXCESS: Final = 0.1
 FEWEST_UPDATES: Final = 10  # With fewer updates the verdict is ``insufficient data``.
-MANY_REJECTED: Final = 0.1  # A gate that rejects a larger share does not keep outliers out but the DVL.
-FEWEST_PAIRS: Final = 10  # With fewer neighbours the word is ``insufficient data``.
-# A smaller one, however significant, does not matter: the mean of noise that is so correlated scatters by less than
-# 11 % more, or 10 % less, than that of white noise.
+MANY_REJECTED: Final = 0.1  # A gate that rejects more does not reject outliers but the DVL.
+FEWEST_PAIRS: Final = 10  # With fewer pairs of neighbours: ``insufficient data``.
+# A smaller correlation does not matter even if significant: the mean of such noise scatters by less than 11 % more, or
+# 10 % less, than that of white noise.
 SMALL_AUTOCORRELATION: Final = 0.1
-NORMAL_95: Final = 1.96  # Within so many standard deviations are 95 % of a normal variable.
+NORMAL_95: Final = 1.96  # 95 % of a normal variable are within this number of standard deviations.
 NO_SENSORS: Final[Mapping[str, Floats]] = MappingProxyType({})
 
 
@@ -38,12 +38,12 @@ NO_SENSORS: Final[Mapping[str, Floats]] = MappingProxyType({})
 
 
 def chi_square_quantile(probability: float, dof: float) -> float:
-    """Return the value below which a chi-square variable lies with a probability; infinite for probability 1."""
+    """Return the chi-square quantile of a probability; infinite for probability 1."""
     return float("inf") if probability >= 1.0 else float(chdtri(dof, 1.0 - probability))
 
 
 def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the two-sided interval in which the mean of ``count`` chi-square variables lies.
+    """Return the two-sided interval of the mean of ``count`` chi-square variables.
 
     The sum of independent variables with ``dof`` degrees of freedom has ``count * dof`` of them. Of variables that
     depend on each other the count is the number of effective samples, which need not be whole.
@@ -54,7 +54,7 @@ def mean_interval(dof: int, count: float, confidence: float = CONFIDENCE) -> tup
 
 
 def consistency_verdict(mean: float, low: float, high: float, dof: int) -> tuple[Consistency, Reason]:
-    """Judge a mean NIS or NEES, and say why if the verdict is not what the interval says."""
+    """Return the verdict on a mean NIS or NEES, with the reason if it differs from the interval."""
     if not np.isfinite(mean):
         return Consistency.NOT_FINITE, Reason.NONE
     if low <= mean <= high:
@@ -65,7 +65,7 @@ def consistency_verdict(mean: float, low: float, high: float, dof: int) -> tuple
 
 
 def probability_beyond_3_sd(share: float, independent: float) -> float:
-    """Bound how probable so large a share of errors beyond 3 standard deviations is in a consistent filter.
+    """Return a bound of the probability of this share of errors beyond 3 standard deviations in a consistent filter.
 
     With one independent sample or more it is the binomial probability, continued between whole numbers. With less, an
     excursion that happened to last, it is Markov's bound, however the errors depend on each other. The two meet.
@@ -86,9 +86,9 @@ class MeanVerdict(NamedTuple):
 
 
 def mean_verdict(squared: Floats, dof: int, samples: float) -> MeanVerdict:
-    """Judge the mean of squares that are worth so many independent samples.
+    """Return the verdict on a mean of squares with a number of effective samples.
 
-    Few samples prove that it is too large, but not that it is as it should be.
+    Few samples can show that it is too large, but not that it is right.
     """
     mean, (low, high) = float(squared.mean()), mean_interval(dof, samples)
     word, why = consistency_verdict(mean, low, high, dof)
@@ -105,7 +105,7 @@ def consistency_table(
     histories: tuple[History, ...],
     sensor_sd: Mapping[str, Floats] = NO_SENSORS,  # (s,), noise of one reading of each held-out sensor, SI
 ) -> list[ConsistencyRow]:
-    """Judge each filter's innovations, measurement by measurement and axis by axis.
+    """Return the consistency of each filter's innovations, by measurement and by axis.
 
     NIS is that of all innovations; what the gate rejected counts as much as the gate is. Whiteness is that of the
     innovations that were used. After the row of a whole measurement, such as ``velocity``, come those of its axes in b,
@@ -118,7 +118,7 @@ def consistency_table(
         sensor = measurement.removeprefix(HELD_OUT)
         needed = {state.id for block in SENSORS[sensor].states for state in MORE_STATES[block]} if held_out else set()
         has_states = needed <= {state.id for state in history.states}
-        # A filter lives on where a user's prediction gives no number: such readings are not used.
+        # Readings whose user-defined prediction is not a number are not used.
         goes_on = not is_reserved(measurement) and np.isfinite(history.velocity_n[-1]).all()
         met = np.isfinite(innovations.nis) | (not goes_on)
         standardised, used, weight = innovations.standardised[met], innovations.used[met], innovations.weight[met]
@@ -127,12 +127,12 @@ def consistency_table(
             part = standardised[:, components]
             dof, correlation = part.shape[1], autocorrelation(part, used | held_out)
             nis = (innovations.nis[met] if name == measurement else part[:, 0] ** 2) * weight
-            # Of a held-out sensor, what is off stays in the next innovation: fewer are independent.
+            # The errors of a held-out sensor last, so fewer innovations are independent.
             mean = _nis_verdict(nis, dof, part if held_out else None) if has_states else MeanVerdict()
             if mean.verdict == Consistency.CONSERVATIVE:
-                # An error that stays is one sample, and where it happens to be small, or is none at an exact start,
-                # nothing shows that it stays. By a held-out sensor a filter is conservative only where differences are
-                # too small for the noise of the sensor alone.
+                # A lasting error is one sample. If it is small by chance, or zero after an exact start, the data do not
+                # show that it lasts. By a held-out sensor a filter is conservative only if the differences are too
+                # small for the sensor's noise alone.
                 stays = measurement in SENSORS and repeats(*correlation)
                 if held_out:
                     by_sensor = (innovations.innovation / sensor_sd[sensor])[:, components]
@@ -162,7 +162,7 @@ def consistency_table(
 
 
 def _nis_verdict(nis: Floats, dof: int, components: Floats | None = None) -> MeanVerdict:
-    """Judge a mean NIS; components in their own standard deviations that repeat themselves are fewer samples."""
+    """Return the verdict on a mean NIS; correlated components count as fewer samples."""
     if len(nis) < FEWEST_UPDATES:
         return MeanVerdict(verdict=Consistency.INSUFFICIENT)
     repeated = components is not None and np.isfinite(components).all()
@@ -179,7 +179,7 @@ def autocorrelation(
     standardised: Floats,  # (m, n), innovations in their own standard deviations, in the order of time
     used: NDArray[np.bool_],  # (m,), which of them the gate let pass; both of a pair have to
 ) -> tuple[float, float]:
-    """Return the correlation of innovations with the ones before them, and what 95 % of white innovations stay below.
+    """Return the lag-1 correlation of innovations, and its limit for 95 % of white innovations.
 
     The mean is not subtracted: one that stays is a correlation too. The limit is ``1.96 / sqrt(pairs)``; for n
     components together it is too wide by up to sqrt(n), and never too narrow. NaN with fewer than `FEWEST_PAIRS` pairs,
@@ -196,12 +196,12 @@ def autocorrelation(
 
 
 def repeats(value: float, limit: float) -> bool:
-    """Return whether innovations repeat themselves: what they hold is an error that stays, and no noise."""
+    """Return whether innovations are strongly correlated: a lasting error instead of noise."""
     return value > 0.0 and whiteness(value, limit) == Whiteness.CORRELATED
 
 
 def whiteness(value: float, limit: float) -> Whiteness:
-    """Return what an autocorrelation means."""
+    """Return the whiteness by a lag-1 correlation."""
     if not np.isfinite(limit):
         return Whiteness.INSUFFICIENT
     if not np.isfinite(value):

@@ -1,4 +1,4 @@
-"""How much each candidate improves on the baseline, and how much sooner it converges, by covariance and by errors.
+"""Predicted improvement and convergence of each candidate by covariance, and measured convergence by errors.
 
 Predicted improvement and convergence follow from P alone. Any further measurement shrinks P: they say how certain a
 filter is, never how right. P is read where a filter has just used a ping, since between pings it grows; the end of the
@@ -24,12 +24,12 @@ from insdvl_replay.core.words import ConvergenceStatus, ImprovementStatus
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, improvement_pct, squared_errors
 from insdvl_replay.evaluation.series import MARGIN, RatioInterval
 
-LAST: Final = 0.1  # Share of the time that has passed of which an rms is.
-STEP: Final = 0.02  # Each time at which the rms is looked at is so much of itself before the next.
+LAST: Final = 0.1  # An rms is over this last share of the elapsed time.
+STEP: Final = 0.02  # Relative step between the times of an rms.
 RESAMPLES: Final = 1000
 SEED: Final = 1
 SAME_PCT: Final = 0.05  # A smaller change of a standard deviation is ``same``: with one digit it would read 0.0 %.
-BEYOND: Final = 1e200  # Replaces a square that is larger, or not finite: no filter comes back from there.
+BEYOND: Final = 1e200  # Replaces larger or not finite squares; no filter recovers from there.
 NINE_NAMES: Final = frozenset(state.id for state in NINE)
 FEWEST_STARTS: Final = 3  # The dive's own, and two that are drawn.
 
@@ -38,12 +38,12 @@ FEWEST_STARTS: Final = 3  # The dive's own, and two that are drawn.
 
 
 class MeasuredConvergence(NamedTuple):
-    """When two filters became, and stayed, as good as the baseline is at the end, and the ratio of the two times."""
+    """Times from which two filters stay as good as the baseline at the end, and their ratio."""
 
     target: float  # rms of the baseline over the last tenth of the time, SI unit
     baseline_s: float  # from the start; NaN unless reached
     candidate_s: float
-    status: ConvergenceStatus  # of the baseline where its errors do not fall, else of the candidate
+    status: ConvergenceStatus  # of the baseline if its errors do not fall, else of the candidate
     # Ratio NaN unless both are reached; ends of the ratios over resampled starts, NaN where the baseline does not fall;
     # the starts are its samples.
     interval: RatioInterval
@@ -78,7 +78,7 @@ def measured_convergence(
     *,
     with_interval: bool = True,
 ) -> MeasuredConvergence:
-    """Find from when on two filters are as good as the baseline is at the end.
+    """Return the times from which two filters stay as good as the baseline at the end.
 
     The rms of s normal draws has the standard error ``1 / sqrt(2 s)`` of itself: by so much it may exceed the target. A
     filter that is there at once but not for good is as good at the start, and has nothing to bring down. The interval
@@ -123,7 +123,7 @@ def measured_convergence(
 
 
 def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
-    """Return times that are ever further apart, shape (g,), and means over the last part of what has passed then.
+    """Return times with growing steps, shape (g,), and means over the last part of the elapsed time.
 
     The times, shape (k,), increase after the start. The means are of each of the squares: (s, k) becomes (s, g).
     """
@@ -140,7 +140,7 @@ def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:
 
 
 def limit_of(rms: Floats, starts: int) -> Floats:
-    """Return up to where a filter is as good as an rms over so many starts, which has a standard error of its own."""
+    """Return the limit up to which a filter is as good as an rms over some starts: one standard error more."""
     return rms * (1.0 + 1.0 / math.sqrt(2.0 * starts))
 
 
@@ -151,7 +151,7 @@ def _status(reached_s: float) -> ConvergenceStatus:
 
 
 class ConvergenceCurves(NamedTuple):
-    """Errors of all filters from drawn starts in one quantity, at g times that are ever further apart."""
+    """Errors of all filters from drawn starts in one quantity, at g times with growing steps."""
 
     time_s: Floats  # (g,), after the start
     rms: Mapping[str, Floats]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
@@ -185,7 +185,7 @@ def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCur
 
 
 def improvement_table(log: str, histories: tuple[History, ...]) -> list[ImprovementRow]:
-    """Compare the standard deviations at the end of the dive, for the states that each candidate has one of."""
+    """Compare the standard deviations at the end of the dive, for the states that each candidate has."""
     baseline, *candidates = histories
     rows = []
     for candidate in candidates:
@@ -214,13 +214,13 @@ def improvement_table(log: str, histories: tuple[History, ...]) -> list[Improvem
 
 
 def predicted_states(history: History) -> list[State]:
-    """List those of the twelve states that a history has standard deviations of."""
+    """List the states, of the twelve, for which a history has standard deviations."""
     predicted = history.predicted if history.updated.any() else np.zeros(len(history.states), np.bool_)
     return [state for state in STATES if predicted[state.index]]
 
 
 def last_row(history: History, candidate: History) -> int:
-    """Return the row of the last ping; next to a candidate that is partial, the last that it speaks of, too."""
+    """Return the row of the last ping; with a partial candidate, the last row that it covers."""
     return int(np.flatnonzero(history.updated & candidate.updated if candidate.is_partial else history.updated)[-1])
 
 
@@ -236,7 +236,7 @@ def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: 
 
 
 def unchanged_over_nine(table: Sequence[ConvergenceRow], candidate: str) -> float:
-    """Average over the same states the improvement of a candidate that changes nothing."""
+    """Average over the same states the convergence improvement of a candidate without any change."""
     rows = [row for row in table if row.filter == candidate and row.state in NINE_NAMES]
     return _mean(improvement_pct(finite(row.baseline_s), finite(row.unchanged_s)) for row in rows)
 
@@ -255,7 +255,7 @@ def _mean(improvements_pct: Iterable[float]) -> float:
 def convergence_table(
     log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]] = NOT_MEASURED
 ) -> list[ConvergenceRow]:
-    """Say when each candidate became, and stayed, as certain as the baseline is at the end, and when it came nearest.
+    """Return when the sigma of each candidate stays below the baseline's final one, and when it is nearest to it.
 
     Times count from the start; the baseline's time is its last ping.
     """
@@ -265,13 +265,13 @@ def convergence_table(
     for candidate in candidates:
         last, pings = last_row(baseline, candidate), candidate.updated | (candidate.time_ns == candidate.time_ns[0])
         for state in predicted_states(candidate):
-            # What the baseline ends with, and when it came to stay there.
+            # Final sigma of the baseline, and when it stays there.
             baseline_s, target = float(baseline_time_s[last]), float(baseline.sd[last, state.index])
             seen = np.flatnonzero(baseline.updated[: last + 1] | (baseline_time_s[: last + 1] == 0.0))
             unchanged_s, _ = time_to_stay_below(baseline_time_s[seen], baseline.sd[seen, state.index], target)
-            # When the candidate does.
-            told = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
-            time_s, sd = seconds(candidate.time_ns[told], candidate.time_ns[0]), candidate.sd[told, state.index]
+            # The time of the candidate.
+            known = pings & np.isfinite(candidate.sd[:, state.index]) if candidate.is_partial else pings
+            time_s, sd = seconds(candidate.time_ns[known], candidate.time_ns[0]), candidate.sd[known, state.index]
             reached_s, status = time_to_stay_below(time_s, sd, target)
             faster_pct = improvement_pct(baseline_s, reached_s) if status == ConvergenceStatus.REACHED else math.nan
             nearest_s = nearest_approach_s(time_s, sd, target)
@@ -302,7 +302,7 @@ def convergence_table(
 def nearest_approach_s(time_s: Floats, sd: Floats, target: float) -> float:
     """Return the first time at which a standard deviation is nearest to a target; NaN where no distance is finite.
 
-    This is the convergence time of Levy and Klein. It is no arrival: the standard deviation may turn back there.
+    This is the convergence time of Levy and Klein. The standard deviation may grow again after it.
     """
     distance = np.abs(sd - target)
     return float(time_s[np.nanargmin(distance)]) if np.isfinite(distance).any() else float("nan")

@@ -1,4 +1,4 @@
-"""Whether a filter's errors are as large as it says: errors against the reference in its own standard deviations.
+"""Whether a filter's errors are as large as it predicts: errors against the reference in its own sigma.
 
 The reference is taken as exact: where it is no better than the filter, its own errors count as the filter's. The worst
 of the groups of states represents a filter: all states together may be consistent where some err by far more than the
@@ -38,16 +38,16 @@ from insdvl_replay.evaluation.series import samples_in_mean_square
 from insdvl_replay.geometry.rotation import rpy_from_mat
 
 # Share of the expected NEES, half of the predicted size, below which errors count as small. A filter starts at the
-# reference, so that for a while the errors of a consistent one are smaller than it says.
+# reference, so the errors of a consistent filter are smaller than its sigma for a while.
 FAR_SMALLER: Final = 0.25
-# A smaller share of errors beyond three standard deviations is near enough to the 0.3 % of a consistent filter.
+# A smaller share of errors beyond three sigma is near enough to the 0.3 % of a consistent filter.
 MANY_FAR_OFF: Final = 0.01
 LEVEL: Final = slice(PHI.start, PHI.stop - 1)
 
 States = NDArray[np.int64]
 
 
-# --- Errors in the filter's states, and how large P lets them be.
+# --- Errors in the filter's states, with P.
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ class StateErrors:
 
     filter: str
     time_ns: TimeNs  # (k,), at which the history holds P
-    error: Floats  # (k, n), SI units, see `errors.errors_at`; NaN where neither reference nor truth knows
+    error: Floats  # (k, n), SI units, see `errors.errors_at`; NaN where neither reference nor truth has them
     cov: Floats  # (k, n, n), P
     heading: Floats  # (k,), of the reference, rad
-    has_sd: NDArray[np.bool_]  # (n,), of which states the filter gives a standard deviation
-    exact_start: bool = True  # it starts on the reference, so that for a while it errs less than it says
+    has_sd: NDArray[np.bool_]  # (n,), states for which the filter has a standard deviation
+    exact_start: bool = True  # it starts on the reference, so its errors are below sigma for a while
 
     @property
     def sd(self) -> Floats:
@@ -131,7 +131,7 @@ def nees(error: Floats, cov: Floats) -> Floats:
 
 
 def shared_variance(cov: Floats, states: States, others: States) -> Floats:
-    """Return which share of the variance of some states would not be there if another were known, for each other.
+    """Return, for each other state, the share of the variance of some states that knowing it would remove.
 
     It is of one of n whitened states, root mean square over them, in the mean over the time, shape (others,).
     """
@@ -146,7 +146,7 @@ def shared_variance(cov: Floats, states: States, others: States) -> Floats:
 
 
 def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, StateErrors]) -> list[CredibilityRow]:
-    """Judge each filter by its errors against the reference; ``errors``, by filter, are empty without one.
+    """Return the credibility of each filter by its errors against the reference; ``errors`` are empty without one.
 
     There are rows for velocity and attitude, about the vehicle's level axes, for the biases where the log carries the
     true ones; for the groups of these with their block of P, and for ``all`` of them with the whole of P, where shares
@@ -169,7 +169,7 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
         for state, quantity in enumerate((*CREDIBILITY_QUANTITIES, *POSITION_QUANTITIES)[:n]):
             if has_sd[state] and (state < BA.start or ever[state]):
                 rows.append(_compared_row(log, quantity, in_vehicle, np.array([state]), samples_in_vehicle))
-        # What stays the same in n turns with the vehicle from one of its axes to the other: a group would not show it.
+        # A constant error in n moves from one body axis to another in turns; a group would hide it.
         for group, states in ALL_CREDIBILITY_GROUPS.items():
             if has_sd[states].any() and (states.stop <= BA.start or ever[states].any()):
                 rows.append(_compared_row(log, group, in_n, np.arange(states.start, states.stop), samples))
@@ -179,14 +179,14 @@ def credibility_table(log: str, filters: Sequence[str], errors: Mapping[str, Sta
 
 
 def _standardised(errors: StateErrors, states: States) -> tuple[Floats, Floats]:
-    """Return errors of some states, whitened, at the times that know them all, shape (t, n), and P at these times."""
+    """Return errors of some states, whitened, at the times when all are known, shape (t, n), and P at these times."""
     times = np.isfinite(errors.error[:, states]).all(axis=1) & bool(len(states))
     cov = errors.cov if times.all() else errors.cov[times]
     return whitened(errors.error[np.ix_(times, states)], cov[:, states[:, None], states]), cov
 
 
 def _samples_of(errors: StateErrors, state: int) -> float:
-    """Return how many samples the errors of a state are worth; NaN where they are not known."""
+    """Return the effective samples of the errors of a state; NaN where unknown."""
     standardised, _ = _standardised(errors, np.array([state]))
     return samples_in_mean_square(standardised) if len(standardised) and np.isfinite(standardised).all() else np.nan
 
@@ -225,18 +225,17 @@ def _compared_row(
     states: States,
     samples_of_each: Floats,  # (n,), see `_samples_of`
 ) -> CredibilityRow:
-    """Judge the errors of some states together."""
+    """Return the credibility of some states together."""
     standardised, cov = _standardised(errors, states)
     samples, dof = standardised.shape
     if not samples or not np.isfinite(standardised).all():
         word = Consistency.NOT_FINITE if samples else Consistency.NOT_IN_REFERENCE
         return _row(log, errors.filter, quantity, dof, samples, MeanVerdict(verdict=word))
 
-    # How many samples the errors are worth that hang on those of other states, which may be slower. What a share s of
-    # the variance hangs on is the same in all of the dive, or in as much of it as makes one sample of the other state:
-    # of squared correlations s^2 are those of the other state, the rest those of the errors. P says what hangs on it;
-    # how much the errors show of it depends on how large the other one happens to be. An unknown bias, which hardly
-    # changes, is as slow as the slowest state that is known.
+    # Effective samples of errors that depend on other states, which may be slower. A share s of the variance depends on
+    # the other state, which is constant within one of its samples. So s^2 of the squared correlations are those of the
+    # other state, the rest those of the errors. P gives s. An unknown bias hardly changes, so it counts as slow as the
+    # slowest known state.
     independent = float(samples_of_each[states[0]]) if dof == 1 else samples_in_mean_square(standardised)
     others = np.setdiff1d(np.arange(len(samples_of_each)), states)
     if len(others):
@@ -247,14 +246,14 @@ def _compared_row(
 
     squared = np.sum(standardised**2, axis=1)
     mean = mean_verdict(squared, dof, independent)
-    # The ellipsoids that are exceeded as rarely as a normal variable exceeds one and three standard deviations.
+    # The ellipsoids with the probabilities of one and three sigma of a normal variable.
     near_pct, far_pct = (
         100.0 * float(np.mean(squared <= chi_square_quantile(float(chdtr(1, sigmas**2)), dof))) for sigmas in (1.0, 3.0)
     )
     if mean.verdict == Consistency.CONSERVATIVE and errors.exact_start:
-        # A filter starts on the reference: the misalignment that it allows for is not there, nor is what hangs on it,
-        # such as a velocity across the track or, on a straight line, a horizontal accelerometer bias. Errors that are
-        # too small are compared with the share of the variance that would be left if the attitude were known.
+        # A filter that starts on the reference has no misalignment, nor errors that depend on it: velocity across the
+        # track or, on a straight line, a horizontal accelerometer bias. Errors that are too small are compared with
+        # the share of the variance that is left if the attitude is known.
         shared, attitude = 0.0, np.arange(PHI.start, PHI.stop)
         if not np.isin(states, attitude).any():
             between = whitened(cov[:, states[:, None], attitude], cov[:, states[:, None], states])

@@ -1,4 +1,4 @@
-"""How far each filter drifts from the reference, how its track would fit, and how often its position jumps.
+"""Drift of each filter from the reference, fit of its track, and jumps of its position.
 
 The position error at the end of a dive is one number; over segments only what is lost inside each counts, so that there
 are many. After a long gap of the IMU there are rows of the velocity alone. Sources: Geiger, Lenz and Urtasun, "Are we
@@ -27,13 +27,13 @@ from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, un
 
 SEGMENT_S: Final = 60.0
 SEGMENT_M: Final = 100.0
-STEP_S: Final = 5.0  # From the start of a segment to that of the next, which overlaps with it.
-ABOUT: Final = 0.1  # A segment may be longer or shorter by this share, where the reference has no sample at its end.
-ROUNDING: Final = 1e-6  # Share of a segment that sums of speeds and steps may be short of it.
+STEP_S: Final = 5.0  # Step between the starts of overlapping segments.
+ABOUT: Final = 0.1  # A segment may differ by this share if the reference has no sample at its end.
+ROUNDING: Final = 1e-6  # Share of a segment for rounding of sums.
 SLOWEST_MPS: Final = 0.1  # A slower vehicle has no course.
-# Less is no jump: in turns velocities and positions of a few hertz differ by some centimetres.
+# A smaller step is no jump: in turns, velocities and positions of a few hertz differ by some centimetres.
 SMALLEST_JUMP_M: Final = 0.5
-# Residuals of tracks are averaged over so long. What is left is what dead reckoning loses, not a fix's noise.
+# Residuals of tracks are averaged over this time, which leaves the drift and removes the noise of fixes.
 AVERAGED_S: Final = 20.0
 FEWEST_AVERAGES: Final = 6  # From fewer there is no standard error.
 
@@ -54,7 +54,7 @@ class Segments(NamedTuple):
 
 
 class Drift(NamedTuple):
-    """How much a filter's position error changes over each segment, shape (..., m); NaN where it is not known."""
+    """Change of a filter's position error over each segment, shape (..., m); NaN where unknown."""
 
     horizontal_m: Floats  # length of the change
     down_m: Floats  # with its sign
@@ -63,7 +63,7 @@ class Drift(NamedTuple):
 class CourseErrors(NamedTuple):
     """Horizontal velocity error along and across (to starboard of) the reference's course, shape (..., k).
 
-    NaN where the reference has no velocity, or is slower than `SLOWEST_MPS`.
+    NaN where the reference has no velocity, or the vehicle is slower than `SLOWEST_MPS`.
     """
 
     along_mps: Floats
@@ -71,14 +71,14 @@ class CourseErrors(NamedTuple):
 
 
 def time_segments(time_ns: TimeNs, length_s: float = SEGMENT_S) -> Segments:
-    """Choose overlapping segments of a length in time; none where a hole of the reference is near the end."""
+    """Choose overlapping segments of a length in time; none if the reference has a gap near the end."""
     return distance_segments(time_ns, seconds(time_ns, time_ns[0]) if len(time_ns) else np.empty(0), length_s)
 
 
 def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMENT_M) -> Segments:
-    """Pair each start with the time whose distance travelled, or seconds, is nearest to a length further on."""
+    """Pair each start with the time that is nearest to one length later, in metres travelled or seconds."""
     first = thinned(time_ns, STEP_S)
-    # What remains at the end of the dive is no segment; the last may lack what rounding takes.
+    # The rest at the end of the dive is no segment; the last segment may be short by rounding.
     first = first[travelled[first] + length <= travelled[-1:] + ROUNDING * length]
     if not len(first):
         return Segments(time_ns[:0], time_ns[:0], first, first, 1)
@@ -87,14 +87,14 @@ def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMEN
     last = np.where(travelled[after] - end > end - travelled[after - 1], after - 1, after)
     whole = np.abs(travelled[last] - travelled[first] - length) <= ABOUT * length
     first, last = first[whole], last[whole]
-    # Segments of a vehicle that stops on the way hold many more.
+    # Segments in which the vehicle stops hold many more.
     inside = np.searchsorted(first, last) - np.arange(len(first))
     steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
     return Segments(time_ns[first], time_ns[last], first, last, steps)
 
 
 def segment_drift(errors: ReferenceErrors | DrawnErrors, segments: Segments) -> Drift:
-    """Return what the position error changes by over each segment, between corrections of the position."""
+    """Return the change of the position error over each segment, without corrections of the position."""
     drifting_ned_m = errors.drifting_ned_m
     change_ned_m = drifting_ned_m[..., segments.last, :] - drifting_ned_m[..., segments.first, :]
     return Drift(np.hypot(change_ned_m[..., 0], change_ned_m[..., 1]), change_ned_m[..., 2])
@@ -116,15 +116,15 @@ def drift_table(
     log: str,
     errors: Mapping[str, ReferenceErrors],  # by filter, of the run from the dive's own start
     reference: ReferenceColumns,
-    start_ns: int,  # the times of the worst count from here
+    start_ns: int,  # origin of the times of the worst error
     *,
     bridged_gaps: bool = False,  # the filters went through long gaps of the IMU
 ) -> list[DriftRow]:
-    """Say how large the errors of each filter are half of the time, nearly always and at worst.
+    """Return median, 95th percentile, rms and largest error of each filter.
 
-    There are rows of as many of `DRIFT_QUANTITIES` as the dive gives numbers for.
+    Each of `DRIFT_QUANTITIES` with numbers has a row.
     """
-    sizes: dict[str, dict[str, tuple[Floats, TimeNs, TimeNs]]] = {}  # each error with the times between which it arose
+    sizes: dict[str, dict[str, tuple[Floats, TimeNs, TimeNs]]] = {}  # each error with its begin and end times
     for name, found in errors.items():
         time_ns = found.time_ns
         distance_m = reference_distance_m(reference, time_ns) if len(time_ns) else np.empty(0)
@@ -168,9 +168,9 @@ def drift_table(
 
 
 class TrackFit(NamedTuple):
-    """What would align the filter's track with the reference's, with standard errors; NaN where it is not known."""
+    """Scale and turn that align the filter's track with the reference's, with standard errors; NaN where unknown."""
 
-    scale_pct: float  # the factor less one: positive where the filter's track is too small
+    scale_pct: float  # the factor minus one: positive if the filter's track is too small
     scale_sd_pct: float
     turn_deg: float  # clockwise seen from above, as a heading
     turn_sd_deg: float
@@ -180,7 +180,7 @@ UNKNOWN: Final = TrackFit(float("nan"), float("nan"), float("nan"), float("nan")
 
 
 def track_fit_table(log: str, errors: Mapping[str, ReferenceErrors], reference: ReferenceColumns) -> list[TrackFitRow]:
-    """Return the scale and the turn of each filter's track; no rows where no track of the reference is long enough."""
+    """Return the scale and the turn of each filter's track; no rows if the reference's track is too short."""
     rows = []
     for name, found in errors.items():
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -224,7 +224,7 @@ def track_fit(
     weights = estimated.conj() / (squares * similarity)
     changes, scale_sd, turn_sd = _changes(time_ns, weights, reference - similarity * estimated), math.nan, math.nan
     if len(changes) >= FEWEST_AVERAGES:
-        # Of a sum of parts that may be correlated with their neighbours.
+        # Variance of a sum of parts that may be correlated with their neighbours.
         scale_sd, turn_sd = (
             float(np.sqrt(np.sum(part**2) * len(part) / samples_in_mean(part))) for part in (changes.real, changes.imag)
         )
@@ -233,7 +233,7 @@ def track_fit(
 
 
 def _changes(time_ns: TimeNs, weights: Complexes, residuals: Complexes) -> Complexes:
-    """Return what each change between averaged residuals adds to what was fitted with weights, shape (..., k).
+    """Return the effect of each change between averaged residuals on the weighted fit, shape (..., k).
 
     Each change moves all that follows it, with the weight that the points behind it have in the fit.
     """
@@ -244,7 +244,7 @@ def _changes(time_ns: TimeNs, weights: Complexes, residuals: Complexes) -> Compl
 
 
 class HeadingFit(NamedTuple):
-    """How a start has to change for its track to fit the reference's."""
+    """Change of the start that aligns its track with the reference's."""
 
     heading: float  # rad
     heading_sd: float
@@ -258,7 +258,7 @@ def heading_fit(
     per_heading_m: Floats,  # (k, 2), derivative of the estimated track, m/rad
     per_bias_m: Floats,  # (k, 2), m/(rad/s)
     reference_m: Floats,  # (k, 2)
-    known_bias: tuple[float, float],  # by how much the track's bias exceeds its prior, and the prior's sd, rad/s
+    known_bias: tuple[float, float],  # the track's bias minus its prior, and the prior's sd, rad/s
 ) -> HeadingFit | None:
     """Fit heading and gyro bias at the start by least squares, with shift and scale, which is the DVL's.
 
@@ -275,7 +275,7 @@ def heading_fit(
         return None
     correlated = np.sqrt([len(part) / max(samples_in_mean(part), 1.0) for part in changes])
     cov = changes @ changes.T * np.outer(correlated, correlated)
-    # What was known of the bias is one measurement more, which the heading follows as the track couples them.
+    # The prior of the bias is one more measurement; the track couples it with the heading.
     exceeds, prior_sd = known_bias
     variance = float(cov[1, 1]) + prior_sd**2
     gain = cov[:2, 1] / variance
@@ -288,7 +288,7 @@ def heading_fit(
 
 
 def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, ReferenceColumns]) -> list[JumpRow]:
-    """Count the steps of a position that neither its own velocity nor the steps around explain, see `geometry.frames`.
+    """Count the position steps that neither the velocity nor the neighbouring steps explain, see `geometry.frames`.
 
     Only a filter that estimates its position, or has a recorded motion in ``motions``, can jump and has a row.
     """
@@ -299,7 +299,7 @@ def jump_table(log: str, histories: Iterable[History], motions: Mapping[str, Ref
         start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
         recorded = motions.get(history.filter)
         motion = history.motion() if recorded is None else recorded.within(start_ns, end_ns)
-        # Positions that are told again and again until there is a new one count once; the velocities all stay.
+        # A repeated position counts once; all velocities are kept.
         placed = np.flatnonzero(motion.known["positions"])
         again = placed[1:][(np.diff(motion.position[placed, :2], axis=0) == 0.0).all(axis=1)]
         if len(again):

@@ -20,17 +20,17 @@ from insdvl_replay.evaluation.reference_errors import improvement_pct
 
 DOF: Final = len(STATES)  # Degrees of freedom of one NEES.
 SOON_S: Final = 1.5  # After an outage: with pings each second, after the second of them.
-LATER_S: Final = 60.0  # After an outage: what a correction of large errors leaves behind has had time to show.
+LATER_S: Final = 60.0  # After an outage: time for the effects of a large correction.
 FACTORS: Final = np.array([state.factor for state in STATES])
 
 
 @dataclass(frozen=True)
 class RunErrors:
-    """How far one filter was off in one run, at the start and after each ping."""
+    """Errors of one filter in one run, at the start and after each ping."""
 
     filter: str
     time_s: Floats  # (k,), from the start
-    error: Floats  # (k, 12), estimated minus true; a bias is what is left in the compensated readings
+    error: Floats  # (k, 12), estimated minus true; a bias error is the rest in the compensated readings
     var: Floats  # (k, 12), diagonal of P
     nees: Floats  # (k,), x' P^-1 x; 12 in the mean of a consistent filter
 
@@ -46,7 +46,7 @@ def run_errors(history: History, reference: ReferenceColumns, truth: TruthColumn
 
 @dataclass(frozen=True)
 class Ensemble:
-    """The runs of one filter, taken together at each time."""
+    """Statistics over the runs of one filter, at each time."""
 
     filter: str
     runs: int
@@ -64,7 +64,7 @@ class Ensemble:
 
 
 class Tally:
-    """The runs of one filter, added up one after the other, so that memory does not grow with their number.
+    """Running sums over the runs of one filter, so that memory does not grow with their number.
 
     Mean and squares are updated after Welford: a mean far from zero costs no digits. The first run gives the filter's
     name and the times; it is not yet added. ``nees_by_run`` holds NEES in the mean over pings and after the last.
@@ -87,7 +87,7 @@ class Tally:
         self.nees_by_run.append((float(run.nees[1:].mean()), float(run.nees[-1])))
 
     def ensemble(self) -> Ensemble:
-        """Return the runs so far; two at least."""
+        """Return the statistics so far; needs at least two runs."""
         return Ensemble(
             self.filter,
             self._runs,
@@ -115,7 +115,7 @@ def _states(name: str, **shown: Floats) -> Columns:
 
 
 def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Return what each filter predicts at the end next to what is so; ``ratio`` is rms_error over final_sd."""
+    """Return predicted and true errors of each filter at the end; ``ratio`` is rms_error over final_sd."""
     table = _stacked(
         _states(
             ensemble.filter,
@@ -135,9 +135,9 @@ def montecarlo_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
 
 
 def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
-    """Judge each filter by its NEES; ``inside_pct`` is the share of pings inside the interval.
+    """Return the consistency of each filter by its NEES; ``inside_pct`` is the share of pings inside the interval.
 
-    NEES at neighbouring times are nearly the same number. The mean over the dive is therefore compared with the
+    NEES at neighbouring times are nearly equal. The mean over the dive is therefore compared with the
     interval of a single time, which is too wide for it and never too narrow.
     """
     rows = []
@@ -165,7 +165,7 @@ def verdict_table(ensembles: Sequence[Ensemble]) -> pd.DataFrame:
 
 
 def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, float]]) -> pd.DataFrame:
-    """Follow the mean NEES through outages of the DVL, given by start and end, seconds: how a filter comes back.
+    """Return the mean NEES around DVL outages, given by start and end in seconds.
 
     At the last time before the outage, its last time, `SOON_S` and `LATER_S` after it, and at the end; NaN beyond the
     dive.
@@ -183,7 +183,7 @@ def outage_table(ensembles: Sequence[Ensemble], outages: Sequence[tuple[float, f
 
 
 def runs_table(seeds: Sequence[int], tallies: Sequence[Tally]) -> pd.DataFrame:
-    """List the runs of each filter with their seeds, so that an odd one can be found and repeated."""
+    """List the runs of each filter with their seeds, so that a single run can be repeated."""
     rows = [
         (run, seed, tally.filter, *tally.nees_by_run[run - 1]) for run, seed in enumerate(seeds, 1) for tally in tallies
     ]

@@ -1,4 +1,4 @@
-"""All tables of a dive: the filters that ran side by side, compared with the reference and with each other.
+"""All tables of a dive: the filters compared with the reference and with each other.
 
 `tables_of_filters` fills the tables, and `curves_of` keeps what is drawn over time. `verdicts` puts the evidence in
 words.
@@ -29,8 +29,8 @@ from insdvl_replay.evaluation.drift import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import (
     Measured,
     ReferenceNoise,
-    accuracy_beside,
     accuracy_errors,
+    accuracy_pair,
     evidence_table,
     held_out_errors,
     held_out_track,
@@ -50,12 +50,12 @@ from insdvl_replay.evaluation.reference_errors import (
     run_from_start,
 )
 
-# So many P, 23 MB of them, are kept until the errors are judged; a longer dive is judged at fewer times.
+# At most this number of P (23 MB) is kept for the evaluation of errors; a longer dive is evaluated at fewer times.
 MOST_COVARIANCES: Final = 20_000
 
 
 def evaluated_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:
-    """Choose the times at which P is kept and errors are judged by it: all of the reference, or evenly some of them."""
+    """Choose the times at which P is kept for the evaluation of errors: all of the reference, or evenly chosen ones."""
     if reference is None:
         return np.empty(0, dtype=np.int64)
     inside_ns = reference.time_ns[(reference.time_ns >= start_ns) & (reference.time_ns <= end_ns)]
@@ -91,7 +91,7 @@ def tables_of_filters(
         before = accuracy_errors(drawn[0], reference, noise, bridged_gaps=bridged_gaps)
         for history, found in zip(candidates, drawn[1:], strict=True):
             accuracy[found.filter] = (
-                accuracy_beside(
+                accuracy_pair(
                     drawn[0], found, reference, noise, bridged_gaps=bridged_gaps, given_heading=history.is_turned
                 )
                 if history.has_own_start
@@ -127,7 +127,7 @@ def tables_of_filters(
 def _track(baseline: History, candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:
     """Return the errors of both tracks, by the reference where it covers the dive, else by held-out fixes and depths.
 
-    There are none of a candidate with a start of its own: only the baseline starts with the heading of the reference.
+    A candidate with its own start has none, since only the baseline starts with the heading of the reference.
     """
     if candidate.has_own_start:
         return {}
@@ -153,7 +153,7 @@ def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], d
     return (*drawn, *(run_from_start(history, reference, dive.truth) for history in single))
 
 
-# --- What is drawn over time: as much for a dive of hours as for one of minutes, but for one number of each window.
+# --- Curves for figures. Their length does not grow with the dive, except for one number of each window.
 
 
 class PositionCurve(NamedTuple):
@@ -168,7 +168,7 @@ class PositionCurve(NamedTuple):
 
 @dataclass(frozen=True)
 class Curves:
-    """All that is drawn of the evidence on one dive."""
+    """The curves of the evidence on one dive."""
 
     outage: Mapping[str, OutageCurve]  # by filter; empty where the dive is too short
     convergence: Mapping[str, ConvergenceCurves]  # by quantity; empty without a reference or drawn starts
@@ -176,7 +176,7 @@ class Curves:
 
 
 def curves_of(drawn: Sequence[DrawnErrors], outages: OutageRuns) -> Curves:
-    """Reduce what was measured, of the baseline first, to what is drawn."""
+    """Reduce the measured errors to curves, baseline first."""
     position = {}
     for errors in drawn:
         with np.errstate(over="ignore", invalid="ignore"):

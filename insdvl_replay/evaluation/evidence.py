@@ -1,12 +1,11 @@
-"""The evidence on each candidate next to the baseline: what was measured, its interval, and a verdict
+"""The evidence on each candidate: measured values, the ratio with its interval, and a verdict
 (`series.verdict_of_interval`).
 
-Both filters ran on the same dive, so that everything is paired. *Accuracy* is against the reference, from the same
-drawn starts; *outage* while the DVL is withheld; *held_out* by other sensors that no filter is given;
-*convergence* from starts that err as much as the filters allow for; the *track* is the error of the whole dive;
-*consistency* is whether innovations and errors are as large as a filter says, which says nothing of gain or loss.
-Positions are judged by how far they drift: their error as such is one number that a heading wrong at the start
-decides.
+Both filters run on the same dive, so all errors are paired. *Accuracy* is against the reference, from the same drawn
+starts. *Outage* is the drift without the DVL. *Held_out* is the difference from sensors that no filter gets.
+*Convergence* is from drawn starts. *Track* is the error of the whole dive. *Consistency* compares NIS and NEES, and
+never counts for better or worse. Positions are compared by their drift: the error itself is one number, which the
+heading at the start determines.
 """
 
 import math
@@ -61,26 +60,26 @@ from insdvl_replay.geometry.frames import north_east_down_m
 
 SEGMENTS_S: Final = (30.0, 60.0)
 DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
-# Quantities in which a heading that is off shows in the second order alone.
+# Quantities that a wrong heading changes only to second order.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
-OF_STARTS: Final = ("level", "heading")  # Quantities that are judged from drawn starts alone.
-# With fewer, levels and headings are no evidence: each start is one sample of them. Nor is a prediction confirmed: that
-# errors of the start wear off is most of it.
+OF_STARTS: Final = ("level", "heading")  # Quantities that need drawn starts.
+# With fewer, level and heading are no evidence, since each start is one sample. Nor is a prediction confirmed: most of
+# it is the decay of errors of the start.
 FEWEST_STARTS: Final = 8
-# A smaller difference of convergence decides nothing: its interval is over starts, and the sensors err once a dive.
+# A smaller difference of convergence does not decide: its interval is over starts, and a dive has one sensor error.
 SOONER: Final = 0.25
 NOISE_OF_REFERENCE: Final = "mostly noise of the reference"
-# Share of a root mean square that is the noise of what it is taken against, above which likeness says nothing.
+# Share of the reference's noise in a root mean square, above which equivalence is not decided.
 NOISY: Final = 0.4
 NOTABLY: Final = 1.1  # A mean NIS or NEES nearer to its degrees of freedom by less is as consistent.
-ALONG: Final = {"depth": [2], "position": [0, 1]}  # Sensors that tell of the track, and along which axes of n.
+ALONG: Final = {"depth": [2], "position": [0, 1]}  # Sensors that measure the position, with their axes of n.
 
 
 # --- Squared errors against the reference, and against held-out sensors.
 
 
 class ReferenceNoise(NamedTuple):
-    """How far the reference itself may be off, each axis."""
+    """Standard errors of the reference, each axis."""
 
     position_m: float
     velocity_mps: float
@@ -92,8 +91,8 @@ class SquaredErrors(NamedTuple):
 
     unit: str
     squared: Floats  # (s, k), of s starts at k times or segments, in the unit squared
-    least_block: int  # so many neighbours share what they are made of
-    floor: float  # root mean square up to which the reference itself may err
+    least_block: int  # number of neighbours with common data
+    floor: float  # root mean square of the reference's own error
     own: Floats | None = None  # (k,), from the dive's own start; None where that is the first of the s
     span_s: tuple[float, float] = (0.0, 0.0)  # first and last time, seconds from the start
 
@@ -103,12 +102,12 @@ def accuracy_errors(
     reference: ReferenceColumns,
     noise: ReferenceNoise,
     *,
-    bridged_gaps: bool,  # positions after long gaps of the IMU, in which nothing tells where the vehicle went
-    covered: DrawnErrors | None = None,  # the runs that the reference has to cover, if not these
+    bridged_gaps: bool,  # there were long IMU gaps, in which the position is lost
+    covered: DrawnErrors | None = None,  # the runs that the reference must cover, if not these
 ) -> dict[str, SquaredErrors]:
     """Square the errors of one filter, by quantity of `quantities.ACCURACY`, in its order.
 
-    What the reference knows for less than `reference_errors.WELL_COVERED` of the runs is left out.
+    Quantities that the reference covers for less than `reference_errors.WELL_COVERED` of the runs are left out.
     """
     time_ns, whole = drawn.time_ns, covered or drawn
     start_ns = int(whole.time_ns[0] - round(whole.time_s[0] * 1e9)) if len(whole.time_ns) else 0
@@ -144,19 +143,19 @@ Rows = NDArray[np.int64]
 Pair = tuple[Mapping[str, SquaredErrors], Mapping[str, SquaredErrors]]
 
 
-def accuracy_beside(
+def accuracy_pair(
     drawn: DrawnErrors,
     single: DrawnErrors,
     reference: ReferenceColumns,
     noise: ReferenceNoise,
     *,
     bridged_gaps: bool,
-    given_heading: bool,  # the single run was given the heading, so that it does not err at first
+    given_heading: bool,  # the single run starts with the heading of the reference
 ) -> Pair:
-    """Square the errors of a filter, and of a run that has a start of its own, where and when both have any.
+    """Square the errors of a filter, and of a run with its own start, at the times that both have.
 
-    The reference has to cover the filter's runs; the single run may be as short as it is. Levels and headings are left
-    out: those of the filter are what is left of the errors that it was started with, and the single run has none.
+    The reference must cover the filter's runs; the single run may be shorter. Level and heading are left out: the
+    filter's errors are from its drawn starts, and the single run has none.
     """
     before, after = (
         accuracy_errors(errors, reference, noise, bridged_gaps=bridged_gaps, covered=drawn)
@@ -172,11 +171,11 @@ def accuracy_beside(
 
 
 def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, SquaredErrors]:
-    """Square what a filter and the held-out sensors differ by, by quantity of `quantities.HELD_OUT_QUANTITIES`.
+    """Square the differences of a filter and the held-out sensors, by quantity of `quantities.HELD_OUT_QUANTITIES`.
 
-    Positions and depths are judged by their drift over a minute, between corrections; a heading by itself. The sensor's
-    noise is in both filters and makes them look equal: readings of a few seconds, in which no filter drifts, are
-    averaged. The noise is that of one reading, by the sensor's name, SI; the first component stands for all.
+    Position and depth: drift over a minute, between corrections. Heading: the difference itself. The sensor's noise is
+    in both differences and makes filters look equal, so readings of a few seconds are averaged. ``noise_sd`` is that of
+    one reading, by the sensor's name, SI; the first component is used for all.
     """
     found = {}
     for innovations in (met for met in history.innovations if met.is_held_out):
@@ -202,14 +201,14 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
 
 
 def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Floats]:
-    """Average values, shape (k, s), of every few seconds; return the first rows, the counts, and the averages."""
+    """Average values, shape (k, s), over a few seconds; return the first rows, the counts, and the averages."""
     first = thinned(innovations.time_ns, STEP_S)
     counts = np.diff(first, append=len(values))
     return first, counts, np.add.reduceat(values, first) / counts[:, None]
 
 
 def held_out_track(history: History) -> dict[str, float]:
-    """Return by how much a filter's track differs from held-out fixes and depths: the rms and the last, m."""
+    """Return the difference of a filter's track from held-out fixes and depths: the rms and the last, m."""
     found: dict[str, float] = {}
     for innovations in (met for met in history.innovations if met.is_held_out and len(met.time_ns)):
         sensor = innovations.measurement.removeprefix(HELD_OUT)
@@ -225,14 +224,14 @@ def held_out_track(history: History) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Measured:
-    """What was measured of the filters of a dive."""
+    """All measured errors of the filters of a dive."""
 
     accuracy: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against the reference
     outage: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)  # by filter and window: drifts, m
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(default_factory=dict)  # by candidate, quantity
     held_out: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against held-out sensors
     track: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)  # by candidate, quantity
-    partial: Collection[str] = ()  # candidates that are compared in what they tell alone
+    partial: Collection[str] = ()  # candidates that are compared only in the quantities that they have
 
 
 def evidence_table(
@@ -243,7 +242,7 @@ def evidence_table(
     consistency: Sequence[ConsistencyRow],
     credibility: Sequence[CredibilityRow],
 ) -> list[EvidenceRow]:
-    """Compare each candidate with the baseline, piece by piece; the piece that decides first is in front."""
+    """Return the evidence rows of each candidate; the row that decides first is in front."""
     rows: list[EvidenceRow] = []
     for candidate in candidates:
         new = partial(_row, log, candidate)
@@ -258,7 +257,7 @@ def evidence_table(
         converged = measured.convergence.get(candidate, {})
         for quantity, name in CONVERGED.items():
             if (found := converged.get(name)) is not None:
-                # A few of the drawn starts may make other times: such are no equal ones, either.
+                # With other drawn starts the times may differ, so they are not equivalent either.
                 interval, word = found.interval, verdict_of_interval(found.interval)
                 decisive = (interval.low, interval.high) if word == EvidenceVerdict.EQUIVALENT else (interval.ratio,)
                 near = all(1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER for ratio in decisive)
@@ -268,7 +267,7 @@ def evidence_table(
                     new("convergence", f"convergence_{quantity}", "s", values, interval, verdict=word, starts=starts)
                 )
         for quantity, values in measured.track.get(candidate, {}).items():
-            # One sample, which decides nothing alone.
+            # One sample, which does not decide alone.
             ratio = values[1] / values[0] if values[0] > 0.0 else math.nan
             interval = NOTHING._replace(ratio=ratio, effective_samples=1.0)
             rows.append(new("track", quantity, TRACK[quantity][0], values, interval))
@@ -321,18 +320,18 @@ def _row(
 
 
 def _rows_of_squares(new: Callable[..., EvidenceRow], pair: Pair) -> Iterator[EvidenceRow]:
-    """Compare squared errors; a run with a start of its own is compared with the baseline's drawn starts."""
+    """Compare squared errors; a run with its own start is compared with the baseline's drawn starts."""
     shortest: RatioInterval | None = None
     for quantity in (name for name in pair[0] if name in pair[1]):
         before, after = (errors[quantity] for errors in pair)
         interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
         if quantity.startswith("drift"):
-            # Longer segments smear one stretch over its neighbours: the shortest ones tell for all.
+            # Longer segments spread one stretch over its neighbours, so the shortest segments decide for all.
             shortest = shortest or interval
             if shortest.stretch is not None:
                 samples = min(interval.effective_samples, shortest.effective_samples)
                 interval = interval._replace(effective_samples=samples, stretch=shortest.stretch)
-        # A word is kept where not all is the noise of the reference, and equivalence where hardly anything is.
+        # A verdict needs errors above the reference's noise; equivalence needs little noise.
         word, why = verdict_of_interval(interval), _why(interval, before.span_s)
         noise, largest = before.floor, max(_rms(before.squared), _rms(after.squared))
         noisy = noise >= largest or (noise > NOISY * largest and word == EvidenceVerdict.EQUIVALENT)
@@ -346,14 +345,16 @@ def _rows_of_squares(new: Callable[..., EvidenceRow], pair: Pair) -> Iterator[Ev
 
 
 def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> str:
-    """Say why a row cannot decide: one stretch of the dive holds nearly all of the errors, or the samples are few."""
+    """Say why a row does not decide: one stretch holds nearly all errors, or there are too few samples."""
     if interval.effective_samples >= FEWEST_EFFECTIVE:
         return ""
     if interval.stretch is None:
         return f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
+    if span_s[1] <= span_s[0]:
+        return "nearly all error in one stretch of the dive, which is one sample"
     stretch_s = (span_s[1] - span_s[0]) / STRETCHES
     begun_s = span_s[0] + interval.stretch * stretch_s
-    return f"nearly all of it from {begun_s:.0f} to {begun_s + stretch_s:.0f} s, which is one sample"
+    return f"nearly all error from {begun_s:.0f} to {begun_s + stretch_s:.0f} s, which is one sample"
 
 
 def _rms(squared: Floats) -> float:
@@ -361,7 +362,7 @@ def _rms(squared: Floats) -> float:
     return math.sqrt(float(known.mean())) if known.size else math.nan
 
 
-# --- Consistency as evidence; it has no weight for gain.
+# --- Consistency as evidence; it has no vote.
 
 
 _RANK: Final[Mapping[str, int]] = {word: rank for rank, word in enumerate(VERDICTS_BEST_FIRST)}
@@ -380,10 +381,9 @@ class _Size(NamedTuple):
 
     @property
     def order(self) -> tuple[int, float]:
-        """The worst verdict is last, and of those the largest size.
+        """Sort key: the worst verdict is last, then the largest size.
 
-        Small ones say less: a filter starts on the reference, and what it keeps of that is as small as it happens to
-        be.
+        Small sizes are less certain, since a filter that starts on the reference has small errors for a while.
         """
         return _RANK.get(self.verdict, -1), -1.0 if math.isnan(self.size) else self.size
 
@@ -395,10 +395,9 @@ def _consistency_sizes(
     credibility: Sequence[CredibilityRow],
     is_partial: bool,
 ) -> dict[str, list[_Size]]:
-    """Return what represents the filters: their worst measurement, and their worst group of states.
+    """Return the sizes of all measurements and of all groups of states.
 
-    Of the candidate's further sensors those count in which it is overconfident; of a partial solution the groups that
-    it has.
+    Further sensors of the candidate count only if it is overconfident in them. A partial solution has only some groups.
     """
     shared = {row.measurement for row in consistency if row.filter == baseline}
     given = {row.quantity for row in credibility if row.filter == candidate}
@@ -414,13 +413,13 @@ def _consistency_sizes(
 
 
 def _more_consistent(before: _Size, after: _Size) -> tuple[float, EvidenceVerdict]:
-    """Compare how far the sizes are from 1; no candidate is more consistent for being overconfident instead."""
+    """Compare the distances of the sizes from 1; an overconfident candidate is never more consistent."""
     off, new_off = (abs(math.log(found.size)) if found.size > 0.0 else math.inf for found in (before, after))
     ratio, becomes_worse = math.exp(new_off - off), after.order[0] > before.order[0]
     if Consistency.INSUFFICIENT in (before.verdict, after.verdict):
         return ratio, EvidenceVerdict.UNDECIDED
     if before.verdict == after.verdict == Consistency.CONSERVATIVE:
-        return ratio, EvidenceVerdict.EQUIVALENT  # both promise less than they keep
+        return ratio, EvidenceVerdict.EQUIVALENT  # both are better than they predict
     if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not becomes_worse:
         return ratio, EvidenceVerdict.BETTER
     if after.verdict != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):

@@ -20,15 +20,15 @@ from insdvl_replay.evaluation.consistency import chi_square_quantile
 from insdvl_replay.evaluation.reference_errors import SHORTEST_M
 from insdvl_replay.evaluation.series import windows_ratio
 
-BURN_IN_S: Final = 100  # Drift does not describe a filter that still finds its start.
+BURN_IN_S: Final = 100  # No windows while the filters still converge.
 SHOWN_S: Final = 60
 SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may overlap.
-OUTAGE: Final = 2.5  # A pause of so many usual intervals is a real outage; a single missing ping is none.
-# With fewer in a window the trapezoid, from a velocity error of zero on, makes the drift over 1 % too large.
+OUTAGE: Final = 2.5  # A gap of this many usual intervals is an outage; a single missing ping is not.
+# With fewer pings in a window, the trapezoidal rule makes the drift over 1 % too large.
 FEWEST_PINGS: Final = 6
 NAN: Final = float("nan")
 ALARM: Final = 2.0  # A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %.
-SURELY: Final = 0.999  # So rarely is there an alarm by chance, of each filter and length.
+SURELY: Final = 0.999  # Probability of no alarm by chance, for each filter and length.
 
 Rows = NDArray[np.int64]
 # Whether the IMU has a long gap between some times and others, as `nav.timeline.Gaps.overlap`.
@@ -53,13 +53,13 @@ class OutagePlan:
     """All windows of a dive."""
 
     ping_ns: TimeNs  # (m,), times of the pings with a velocity
-    judged: tuple[Windows, ...]  # by length, without those that the dive is too short for; no overlap in a length
+    by_length: tuple[Windows, ...]  # lengths that fit the dive; windows of one length do not overlap
     shown: Windows  # overlapping, for the drift over time
 
     @cached_property
     def runs(self) -> tuple[Rows, Rows]:
         """First and last ping of each run, shape (r,): from each first ping the longest window that begins there."""
-        every = (*self.judged, self.shown)
+        every = (*self.by_length, self.shown)
         first, last = np.concatenate([w.first for w in every]), np.concatenate([w.last for w in every])
         order = np.lexsort((-last, first))
         longest = order[is_new(first[order])]
@@ -78,13 +78,13 @@ class OutagePlan:
 
 
 def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> OutagePlan:
-    """Place windows over a dive, none of which begins before the filters have settled."""
+    """Place windows over a dive, after the filters have settled."""
     usual_ns = float(np.median(np.diff(ping_ns))) if len(ping_ns) > 1 else np.inf
     middle_ns = ping_ns[:-1] + np.diff(ping_ns) // 2
     outages_before = np.cumsum(np.diff(ping_ns, prepend=ping_ns[:1]) > OUTAGE * usual_ns)
 
     def windows(window_s: int, every_s: int) -> Windows:
-        # None where the dive is too short, or the pings too rare.
+        # None if the dive is too short, or the pings are too rare.
         window_ns, last_ns = window_s * NS_PER_S, end_ns
         if end_ns - start_ns < (BURN_IN_S + 2 * window_s) * NS_PER_S or window_ns < FEWEST_PINGS * usual_ns:
             return Windows(window_s, np.empty(0, np.int64), np.empty(0, np.int64), 0)
@@ -92,7 +92,7 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
             last_ns = min(end_ns, int(ping_ns[-1] + 0.5 * usual_ns))
         latest_s = (last_ns - start_ns) // NS_PER_S - window_s
         begun_ns = start_ns + np.arange(BURN_IN_S, latest_s + 1, every_s) * NS_PER_S
-        # The nearest pings; a window that has none near its ends, or an outage inside, is left out.
+        # The nearest pings; a window without pings near its ends, or with an outage inside, is left out.
         first = np.searchsorted(middle_ns, begun_ns)
         ended_ns = ping_ns[first] + window_ns
         last = np.searchsorted(middle_ns, ended_ns)
@@ -102,11 +102,11 @@ def plan_outages(ping_ns: TimeNs, in_gap: InGap, start_ns: int, end_ns: int) -> 
         return Windows(window_s, first[whole], last[whole], int(np.sum(~whole)))
 
     lengths = [windows(length, length) for length in map(int, OUTAGE_WINDOWS_S)]
-    judged = tuple(found for found in lengths if len(found.first) + found.left_out)
-    return OutagePlan(ping_ns, judged, windows(SHOWN_S, SHOWN_EVERY_S))
+    by_length = tuple(found for found in lengths if len(found.first) + found.left_out)
+    return OutagePlan(ping_ns, by_length, windows(SHOWN_S, SHOWN_EVERY_S))
 
 
-# --- What the filters do in them.
+# --- The filters in these windows.
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _integral(time_s: Floats, rate: Floats) -> Floats:
 
 
 class WindowEnds(NamedTuple):
-    """What a filter has come to at the end of each window of one length, shape (w,)."""
+    """Errors of a filter at the end of each window of one length, shape (w,)."""
 
     drift_m: Floats  # horizontal
     down_m: Floats  # absolute
@@ -172,7 +172,9 @@ def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
 def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:
     """Return the horizontal drift in each window that does not overlap, by filter and length, m."""
     return {
-        name: {f"{windows.window_s}s": window_ends(outages, name, windows).drift_m for windows in outages.plan.judged}
+        name: {
+            f"{windows.window_s}s": window_ends(outages, name, windows).drift_m for windows in outages.plan.by_length
+        }
         for name in outages.runs
     }
 
@@ -204,17 +206,17 @@ def outage_curves(outages: OutageRuns) -> dict[str, OutageCurve]:
     return curves
 
 
-# --- The table, and what it says of the noise.
+# --- The table, and the alarm.
 
 
 def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
-    """Say how far each filter drifts in windows of each length that the dive has room for."""
+    """Return the drift of each filter in windows of each length that fits the dive."""
 
     def quantile(values: Floats, q: float) -> float:
         return float(np.quantile(values, q)) if len(values) and np.isfinite(values).all() else NAN
 
     rows = []
-    for windows in outages.plan.judged:
+    for windows in outages.plan.by_length:
         count = len(windows.first)
         distance_m = outages.distance_m[windows.last] - outages.distance_m[windows.first]
         moved, baseline_m = distance_m >= SHORTEST_M, np.empty(0)

@@ -22,12 +22,12 @@ from insdvl_replay.geometry.frames import north_east_down_m, north_east_m
 from insdvl_replay.geometry.rotation import rpy_from_mat, vector_from_mat
 
 WELL_COVERED: Final = 0.9  # Share of a replay that has to be covered before errors count as those of the whole.
-USUAL_STEPS: Final = 5.0  # A step to the next number of up to so many usual ones is no hole.
-SHORT_S: Final = 2.5  # Nor is a shorter one.
-CHORD_S: Final = 10.0  # Steps between positions that are shorter add up their noise rather than the distance.
-# Over a shorter distance there are no percentages: at rest a filter's noise alone travels some metres.
+USUAL_STEPS: Final = 5.0  # A step of up to this many usual steps is no gap.
+SHORT_S: Final = 2.5  # A shorter step is no gap either.
+CHORD_S: Final = 10.0  # Shorter steps between positions would add up noise instead of distance.
+# No percentages over a shorter distance, since at rest a filter's noise adds up to some metres.
 SHORTEST_M: Final = 10.0
-# Quantities that keep what went wrong in a gap of the IMU: nothing brings position and its heading back.
+# Quantities that keep the error of an IMU gap: position is not observed again.
 DEAD_RECKONED: Final = ("position_h", "depth", "position_h_pct")
 
 NO_ERRORS: Final[Floats] = np.empty(0)
@@ -39,7 +39,7 @@ Known = NDArray[np.bool_]
 
 
 def covered_share(time_ns: TimeNs, known: Known, start_ns: int, end_ns: int) -> float:
-    """Return the share of a span, 0 to 1, that lies between numbers that follow each other about as usual."""
+    """Return the share of a span, 0 to 1, that is covered by numbers without gaps."""
     known_ns = time_ns[known]
     steps_ns = np.diff(known_ns[(known_ns >= start_ns) & (known_ns <= end_ns)])
     if not steps_ns.size:
@@ -158,7 +158,7 @@ def motion_error(
     true_velocity_n: Floats,
     true_mat_nb: Floats,
 ) -> tuple[Floats, Floats]:
-    """Return the errors of velocity, m/s, and attitude, rad, of which P speaks, shape (k, 3) each.
+    """Return the errors of velocity, m/s, and attitude, rad, as P defines them, shape (k, 3) each.
 
     The filter is exact for the invariant error ``xi = v_hat - C_hat C' v``, to first order ``dv + v_hat x phi``. This
     dv is the difference of the velocities where the misalignment is small; with a heading that is off by 20 deg the
@@ -174,7 +174,7 @@ def motion_error(
 
 
 def errors_at(time_ns: TimeNs, history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> Floats:
-    """Return how far a filter is off in its states, shape (k, n), SI units, at times that history and reference have.
+    """Return the errors of a filter's states, shape (k, n), SI units, at times that history and reference share.
 
     The states are the twelve, and the position where the filter estimates it. A bias is what is left in the compensated
     readings, known at the times of the truth.
@@ -211,7 +211,7 @@ class DrawnErrors:
 
 
 def run_from_start(history: History, reference: ReferenceColumns, truth: TruthColumns | None) -> DrawnErrors:
-    """Compare one run with the reference, and its biases with the truth, and let go of all else."""
+    """Compare one run with the reference, and its biases with the truth; keep only the errors."""
     time_ns, ours, theirs = np.intersect1d(history.time_ns[1:], reference.time_ns, return_indices=True)
     ours, position = ours + 1, reference.position[theirs]
     error_ned_m = drifting_ned_m = north_east_down_m(history.position[ours], position)[None]
@@ -239,7 +239,7 @@ def drawn_errors(runs: Sequence[DrawnErrors]) -> DrawnErrors:
 
 
 def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:
-    """Return a filter's runs, NaN where a single run at the same times says nothing."""
+    """Return a filter's runs, NaN where a single run has no numbers at the same time."""
     located = np.isfinite(single.position_error_ned_m)
     return replace(
         drawn,
@@ -281,7 +281,7 @@ def reference_error_table(
     """Return the candidates' errors next to the baseline's, 9 rows a candidate; final errors keep their sign.
 
     The errors, by filter, are empty without a reference. With the status ``partly covered`` or ``lost in gap`` the
-    numbers are there, but do not judge the filters. Next to a partial candidate the baseline's numbers are of the same
+    numbers are given, but are not evidence. Next to a partial candidate the baseline's numbers are of the same
     instants.
     """
     baseline, *candidates = histories

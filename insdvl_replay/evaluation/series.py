@@ -1,4 +1,4 @@
-"""What a series of errors in time is worth, and whether the errors of two filters differ.
+"""Effective samples of a series of errors, and whether the errors of two filters differ.
 
 Neighbouring errors of a filter are nearly the same number, so a mean over them is less certain than their count
 suggests. The first part counts independent samples: `samples_in_mean` for the mean of any series, about that mean;
@@ -26,36 +26,36 @@ from scipy.special import stdtr, stdtrit
 from insdvl_replay.core.dive_columns import Floats, TimeNs, nanoseconds
 from insdvl_replay.core.words import EvidenceVerdict
 
-# The bias depends on the correlation time that it biases: so many iterations bring the two to agree.
+# The bias depends on the correlation time that it biases; this many iterations converge.
 BIAS_ROUNDS: Final = 3
 # Correlation of neighbouring averages, in its standard deviations for independent ones, that shows a slow part.
 SLOW: Final = 0.5
 FEWEST_AVERAGES: Final = 10  # Fewer averages of neighbours show no slow part.
-# The sum of squared autocorrelations stops at the first lag beyond so many correlation times: the rest is noise.
+# The sum of squared autocorrelations stops after this many correlation times; the rest is noise.
 WINDOW_TIMES: Final = 5.0
 
 MARGIN: Final = 0.05  # A smaller difference does not matter.
-FEWEST_EFFECTIVE: Final = 6.0  # Fewer independent samples of one dive decide nothing.
+FEWEST_EFFECTIVE: Final = 6.0  # Fewer effective samples of one dive are undecided.
 # A row decides below it. On equal filters any row of three dives decides in 0.2 % of cases (`make judge`).
 LARGEST_P: Final = 0.01
 SETTLED: Final = 0.10
 # Standard deviations by which a difference must exceed the margin to have a p below 0.01 in four of five cases.
 POWER: Final = 2.33 + 0.84
-# Samples that Student's distribution needs beside the normal one: half the square of 2.33 (Guenther, 1981).
+# Extra samples for Student's instead of the normal distribution: half the square of 2.33 (Guenther, 1981).
 SMALL_SAMPLE: Final = 2.7
 STRETCHES: Final = 8
-# If fewer of the eight stretches of a dive count, they are as many samples, however long they are.
+# If fewer of the eight stretches of a dive count, each is one sample, however long it is.
 FEWEST_STRETCHES: Final = 2.5
 DRAWS: Final = 2000
 SEED: Final = 20_260_000
 # Blocks that estimate a variance best make its intervals too short. Longer blocks are noisier and less biased.
 WIDER_THAN_OPTIMAL: Final = 3
-# Fewer windows do not show how they are correlated. Each is a restart: over simulated dives they are not.
+# With fewer windows their correlation is unknown. Each is a restart; in simulated dives they are not correlated.
 FEWEST_CORRELATED: Final = 20
 # Neighbours of a longer series are averaged first, so that hours at 10 Hz take no longer than minutes.
 MOST_VALUES: Final = 1000
 TAILS: Final = (0.975, 0.95)  # Upper ends of the 95 % interval, and of the 90 % interval for equivalence.
-NORMAL: Final = 1e6  # With so many degrees of freedom Student's distribution is the normal one.
+NORMAL: Final = 1e6  # With this many degrees of freedom Student's distribution is normal.
 NAN: Final = float("nan")
 
 
@@ -71,7 +71,7 @@ def thinned(time_ns: TimeNs, step_s: float) -> NDArray[np.int64]:
 
 
 def samples_in_mean(values: Floats) -> float:
-    """Return how many independent values would have a mean as certain as that of an evenly spaced series.
+    """Return the effective samples for the mean of an evenly spaced series.
 
     That is ``n / tau`` with ``tau = 1 + 2 sum (1 - j/n) rho_j`` up to the first change of sign, and the bias of
     ``rho_j`` about the estimated mean, ``tau / n``, put back. Averages of neighbours show a slow part that fast noise
@@ -90,7 +90,7 @@ def samples_in_mean(values: Floats) -> float:
 
 
 def _correlation_time(values: Floats) -> float:
-    """Return tau, the number of neighbours that are worth one value."""
+    """Return tau, the number of neighbours that count as one sample."""
     n, bias, tau = len(values), 0.0, 1.0
     covariance = autocovariance(values)
     # Divided by n and not by the n - j products, they already hold the factor 1 - j/n.
@@ -105,7 +105,7 @@ def _correlation_time(values: Floats) -> float:
 
 
 def samples_in_mean_square(standardised: Floats) -> float:
-    """Return the number of independent samples whose mean square would scatter as much as that of a series.
+    """Return the effective samples for the mean square of a series.
 
     The series, shape (k, n), is evenly spaced: errors in their own standard deviations, n uncorrelated components. It
     is ``k / tau`` with ``tau = 1 + 2 sum (1 - j/k) r_j^2`` in the mean over components. The mean is not subtracted: an
@@ -132,9 +132,9 @@ def _squared_correlation_time(series: Floats) -> float:
 
 
 def _averages(values: Floats, *, slow: bool = False) -> tuple[Floats, int]:
-    """Return averages of neighbours, none where there would be few, and how many are averaged.
+    """Return averages of neighbours, none if there are too few, and the number of averaged values.
 
-    If only a slow part counts, there are none where averages are not correlated beyond chance.
+    For a slow part only, there are none unless averages are correlated beyond chance.
     """
     together = max(1, int(np.ceil(np.sqrt(len(values)) / 2.0)))
     groups = len(values) // together
@@ -185,24 +185,24 @@ def autocovariance(values: Floats) -> Floats:
 
 def _lagged_products(values: Floats) -> Floats:
     n = len(values)
-    # Zeros in as great a number keep the series from meeting its own other end.
+    # Zero padding avoids circular correlation.
     spectrum = np.fft.rfft(values, 2 * n)
     products: Floats = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
     return products
 
 
-# --- The ratio of two series, and what its interval says.
+# --- The ratio of two series, with its interval and verdict.
 
 
 class RatioInterval(NamedTuple):
-    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN where nothing could be compared."""
+    """Candidate over baseline, with the 95 % and the 90 % interval; all NaN if nothing could be compared."""
 
     ratio: float
     low: float
     high: float
     low90: float
     high90: float
-    effective_samples: float  # by which a verdict is allowed
+    effective_samples: float  # a verdict needs enough of them
     freedom: float = math.inf  # of Student's intervals; may be much less than the effective samples
     stretch: int | None = None  # of `STRETCHES`, from 0, that holds nearly all of the errors
     drawn_p: float = math.nan  # of intervals that are not Student's: share of ratios on the other side of the margin
@@ -226,7 +226,7 @@ class RatioInterval(NamedTuple):
 
     @property
     def independent(self) -> float:
-        """How many independent values the interval rests on: at most its degrees of freedom, and one."""
+        """Independent values behind the interval: at most its degrees of freedom plus one."""
         return min(self.effective_samples, self.freedom + 1.0)
 
 
@@ -237,14 +237,14 @@ def paired_ratio(
     baseline_sq: Floats,  # (k,) or (s, k), squared errors, evenly spaced in time, from one start or s drawn starts
     candidate_sq: Floats,  # the same shape, or (k,) of one run with a start of its own
     *,
-    least_block: int = 1,  # neighbours that share what they are made of, such as the length of a segment in steps
+    least_block: int = 1,  # neighbours with common data, such as the length of a segment in steps
     is_correlated: bool = True,  # whether to look for correlation of neighbours
     log_scale: float = 0.0,  # logarithm of the candidate's unit over the baseline's
 ) -> RatioInterval:
     """Return the ratio of root mean squares of two filters' errors over the same times of one dive.
 
-    The variance of its logarithm is that over moving blocks of time, drawn alike for both filters and all starts, and
-    that over starts. The interval is Student's, with the number of blocks and of starts for its freedom. One run beside
+    The variance of its logarithm is that over moving blocks of time, the same for both filters and all starts, and
+    that over starts. The interval is Student's, with the number of blocks and of starts for freedom. One run against
     several is one draw of a start: the ratio is the mean of logarithms, and the scatter of starts counts once for the
     run and once over the number of starts for the mean. Times at which an error is not finite are left out.
     """
@@ -260,7 +260,7 @@ def paired_ratio(
     logs = 0.5 * np.log(candidate.mean(axis=1) / baseline.mean(axis=1)) if one_run else np.empty(0)
     log_ratio = float(logs.mean()) if one_run else 0.5 * float(np.log(candidate.mean() / baseline.mean())) + log_scale
 
-    # Neighbours of a long series are averaged; what does not fill the last group is left out.
+    # Neighbours of a long series are averaged; an incomplete last group is left out.
     together = -(-baseline.shape[1] // MOST_VALUES)
     groups = baseline.shape[1] // together
     baseline, candidate = (
@@ -270,7 +270,7 @@ def paired_ratio(
     differential = 0.5 * (candidate / candidate.mean() - baseline / baseline.mean())
     over_time = differential.mean(axis=0)
 
-    # Blocks as long as the slow part asks for, at most a third of the values.
+    # Blocks as long as the slow part needs, at most a third of the values.
     block = 1
     if is_correlated:
         averages, neighbours = _averages(over_time, slow=True)
@@ -301,7 +301,7 @@ def paired_ratio(
     log_sd = float(np.sqrt(time_variance + start_variance))
     interval = _student_interval(log_ratio, log_sd, max(freedom, 1.0), samples)
 
-    # Errors of which nearly all are in one stretch of the dive count as so many samples (Kish).
+    # If nearly all errors are in few stretches of the dive, the samples are limited by Kish's number.
     paired = (baseline / baseline.mean() + candidate / candidate.mean()).mean(axis=0)
     sums = np.array([part.sum() for part in np.array_split(paired, STRETCHES)])
     counting = float(sums.sum() ** 2 / (sums**2).sum())
@@ -349,7 +349,7 @@ def dives_ratio(log_ratios: Floats) -> RatioInterval:
 def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective_samples: float) -> RatioInterval:
     widths = [float(stdtrit(min(freedom, NORMAL), tail)) * log_sd for tail in TAILS]
     ends = [log_ratio + sign * width for width in widths for sign in (-1.0, 1.0)]
-    # A diverged filter may be worse beyond all numbers: infinitely.
+    # A diverged filter may have an infinite ratio.
     with np.errstate(over="ignore", invalid="ignore"):
         ratio, low, high, low90, high90 = np.exp([log_ratio, *ends]).tolist()
     return RatioInterval(ratio, low, high, low90, high90, effective_samples, freedom)
@@ -358,7 +358,7 @@ def _student_interval(log_ratio: float, log_sd: float, freedom: float, effective
 def verdict_of_interval(interval: RatioInterval, fewest: float = FEWEST_EFFECTIVE) -> EvidenceVerdict:
     """Return better or worse where the ratio is surely beyond the margin, equivalent surely inside, or undecided.
 
-    Equivalent is two one-sided tests at 5 %. Too few effective samples decide nothing.
+    Equivalent is two one-sided tests at 5 %. With too few effective samples the verdict is undecided.
     """
     least, most = 1.0 / (1.0 + MARGIN), 1.0 + MARGIN
     if not interval.effective_samples >= fewest:

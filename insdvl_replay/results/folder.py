@@ -1,4 +1,4 @@
-"""Results on disk: a result appears all at once or not at all, and is known by its files and their digests.
+"""Results on disk: a result is written completely or not at all, and is identified by its files and digests.
 
 It is written in a hidden folder next to its place, and renamed when it is complete.
 """
@@ -19,15 +19,15 @@ from insdvl_replay.core.errors import ConfigError, read_regular
 from insdvl_replay.core.tables import TABLES
 
 COMPLETE: Final = "report.json"
-"""The file by which a result folder is known, written last; it lists the others."""
+"""The file that identifies a result folder. It is written last and lists the others."""
 PAGE: Final = "report.html"
 REPLAY_LOG: Final = "replay.mcap"
-"""The histories; what checks alone need does without."""
+"""The histories; checks do not write it."""
 TRAJECTORY_FILE: Final = "trajectory.npz"
 """Every filter once a second."""
 REFERENCE_TRAJECTORY: Final = "reference.tum"
 LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")
-"""How viewers show replay.mcap."""
+"""Viewer layouts for replay.mcap."""
 DIVE_FILES: Final = (
     *(f"{layout.name}.csv" for layout in TABLES),
     *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
@@ -35,22 +35,22 @@ DIVE_FILES: Final = (
 """All files of the result of a dive."""
 TOOL: Final = "insdvl-replay"
 NOT_JSON: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""Raised where bytes are decoded that are no JSON of ours: cut, of other letters, or nested without end."""
+"""Raised when decoding bytes that are not valid JSON: cut, wrong encoding, or nested too deep."""
 _MOST_BYTES: Final = 1 << 30
-"""Of a file of a result that is read into memory: reports of long dives have some MB."""
+"""Size limit of a result file that is read into memory. Reports of long dives have some MB."""
 _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
 _MARK: Final = "insdvl-replay-"
-"""In the names of hidden folders, behind a dot."""
+"""In names of hidden folders, after the dot."""
 _OLD: Final = "old"
-"""In a hidden folder, what holds an older result, under its own name, while the new one takes its place."""
+"""Subfolder for the older result while the new one replaces it."""
 _LEFT_FOR_S: Final = 86_400.0
-"""A hidden folder that nobody has changed for a day was left by a killed run."""
+"""A hidden folder that is unchanged for a day is from a killed run."""
 _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 
 
 class _Label(msgspec.Struct):
-    """As much of a report as tells whose it is and which files it has; early ones do not list them."""
+    """The fields of a report that name its tool and files. Early reports have no list of files."""
 
     tool: dict[str, str | float | None]
     baseline: str = ""
@@ -77,7 +77,7 @@ def read_file(path: Path) -> bytes:
 
 
 def list_files(folder: Path) -> None:
-    """Write into the report of a finished result which files it has, and the SHA-256 of each."""
+    """Add the list of files with their SHA-256 to the report of a finished result."""
     report = folder / COMPLETE
     content = msgspec.json.decode(report.read_bytes())
     files = {path.name: _digest(path) for path in sorted(folder.iterdir()) if path != report}
@@ -86,7 +86,7 @@ def list_files(folder: Path) -> None:
 
 
 def damaged_files(folder: Path) -> list[str]:
-    """Name the files of a result that are not as they were written, or not there; the report alone if it lists none."""
+    """Name the files of a result that changed or are missing; only the report if it lists no files."""
     content = msgspec.json.decode(read_file(folder / COMPLETE))
     files: dict[str, str] = dict(content.get("files", {}))
     of_report = files.pop(COMPLETE, "")
@@ -113,7 +113,7 @@ def _digest_of_report(content: dict[str, Any]) -> str:
 
 @contextmanager
 def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """Yield a new folder to write into, which becomes the target when the block ends without an exception.
+    """Yield a new folder to write into. It becomes the target if the block ends without an exception.
 
     On any exception, an interruption included, nothing of it remains, and an older result stays as it was. With
     ``force`` an older result is replaced. The report in the folder is made to list its files.
@@ -138,7 +138,7 @@ def result_folder(target: Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
-    """Yield a path to write to, which becomes the target when the block ends without an exception.
+    """Yield a path to write to. It becomes the target if the block ends without an exception.
 
     A link to a file stays. What is no file, as a device or a named pipe, is never replaced: the bytes go into it.
     """
@@ -157,7 +157,7 @@ def result_file(target: Path, *, force: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def _workspace(target: Path) -> Iterator[Path]:
-    """Yield a hidden folder next to the target, and remove it with all that it then holds; folders above are made."""
+    """Yield a hidden folder next to the target and remove it at the end; missing parent folders are created."""
     made = [parent for parent in target.parents if not parent.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -175,7 +175,7 @@ def _workspace(target: Path) -> Iterator[Path]:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Remove what killed runs left; an older result whose place is empty goes back to it."""
+    """Remove folders of killed runs; put an older result back if its place is empty."""
     for path in folder.glob(f".{_MARK}*"):
         with suppress(OSError):
             newest_s = max(file.lstat().st_mtime for file in (path, *path.rglob("*")))
@@ -184,7 +184,7 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _put_back(old: Path, folder: Path) -> bool:
-    """Put older results back where their places are empty; return whether nothing is left that somebody may miss."""
+    """Put older results back if their places are empty; return whether the rest can be removed."""
     if not old.is_dir():
         return True
     results = list(old.iterdir())
@@ -219,7 +219,7 @@ def require_replaceable_folder(target: Path, *, force: bool = False) -> None:
     if foreign := sorted(path.name for path in target.iterdir() if path.name not in own or path.is_dir()):
         more = f" and {len(foreign) - 1} more" if len(foreign) > 1 else ""
         raise ConfigError(
-            f"{target}: holds {foreign[0]}{more}, which its result did not write, and is not replaced",
+            f"{target}: is not replaced, because {foreign[0]}{more} is not a file of its result",
             "move it elsewhere, or name another folder for the results",
         )
 
@@ -229,9 +229,9 @@ def require_replaceable_file(target: Path, *, force: bool = False) -> None:
     try:
         exists = target.exists()
         if not exists and target.is_symlink():
-            raise ConfigError(f"{target}: is a link to {target.readlink()}, which is not there", f"rm {target}")
+            raise ConfigError(f"{target}: is a link to {target.readlink()}, which does not exist", f"rm {target}")
         if not exists and not target.parent.is_dir():
-            raise ConfigError(f"{target}: there is no folder {target.parent}", f"mkdir -p {target.parent}")
+            raise ConfigError(f"{target}: the folder {target.parent} does not exist", f"mkdir -p {target.parent}")
         if target.is_dir():
             raise ConfigError(f"{target}: is a {'link to a ' * target.is_symlink()}folder", _NAME_A_FILE)
         if target.is_block_device():
@@ -243,7 +243,7 @@ def require_replaceable_file(target: Path, *, force: bool = False) -> None:
 
 
 def is_result(folder: Path) -> bool:
-    """Return whether a folder holds a result, so that the replay in it is no dive.
+    """Return whether a folder holds a result, so that its replay.mcap is not a dive.
 
     A damaged report counts; one that names another tool does not: it may be next to logs.
     """
@@ -257,7 +257,7 @@ def is_result(folder: Path) -> bool:
 
 
 def _files_of_result(folder: Path) -> Collection[str] | None:
-    """Name the files that a result may have; None if there is none.
+    """Name the files that a result may have; None if there is no result.
 
     A report that was damaged does not list them: a folder with all files of a dive's result is one nevertheless.
     """
@@ -268,6 +268,6 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     if label.tool.get("name") == TOOL:
         trajectories = map(trajectory_file, [label.baseline, *label.filters])
         return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
-    # Checks, and early versions, do without these.
+    # Checks and early versions do not write these.
     needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None

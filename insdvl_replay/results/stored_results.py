@@ -17,7 +17,7 @@ _Kind = TypeVar("_Kind")
 
 
 class _Label(msgspec.Struct):
-    """As much of a file as tells what it is."""
+    """The fields that identify a report."""
 
     kind: str | None = None
     tool: dict[str, str | float | None] = {}
@@ -34,7 +34,7 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
         StoredResult(file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report)
         for file, report in reports
     ]
-    text = f"{root}: {studies} results of studies are left out"
+    text = f"{root}: ignored {studies} results of studies"
     return results, [Note("studies_left_out", text, studies)] if studies else []
 
 
@@ -54,7 +54,7 @@ def _read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind
     read = [(file, _read_report(file, kind)) for file in sorted(_report_files(root))]
     reports = [(file, report) for file, report in read if report is not None]
     if not reports:
-        found = "holds results of studies alone" if read else "holds no result"
+        found = "holds only results of studies" if read else "holds no result"
         raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
     return reports, len(read) - len(reports)
 
@@ -81,7 +81,7 @@ def _refuse(error: OSError) -> NoReturn:
 
 
 def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
-    """Read one report; None for that of a study."""
+    """Read one report; None for a study."""
     label = _Label()
     try:
         data = read_file(file)

@@ -26,7 +26,7 @@ _POINT: Final = 3.0
 _LABEL, _ABOVE = 11.0, 4.0
 """Height of a name at the end of a line, and how far above the line it is."""
 _FAR: Final = 1e4
-"""Lines that leave the paper, to infinity even, end here."""
+"""Lines are cut at this distance from the panel."""
 
 
 def style_sheet() -> str:
@@ -43,7 +43,7 @@ _MARGIN: Final = 0.05
 _SMALLEST_SPAN: Final = 1e-9
 """Share of the size of values below which they are all the same."""
 _LARGEST: Final = 1e30
-"""Larger values, of a filter that broke down, are not shown."""
+"""Larger values, of a diverged filter, are not shown."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Axis:
 
 
 def limits(values: Floats, scale: Scale = "linear") -> tuple[float, float]:
-    """Return the ends of an axis, some air around its values; 0 and 1, or 1 and 10, where there are none."""
+    """Return the limits of an axis with a margin; 0 and 1, or 1 and 10, without values."""
     known = values[(np.abs(values) < _LARGEST) & ((values > 1.0 / _LARGEST) | (scale == "linear"))]
     if not len(known):
         return (0.0, 1.0) if scale == "linear" else (1.0, 10.0)
@@ -126,12 +126,12 @@ def _decades(low: float, high: float, count: int) -> Floats:
     return np.asarray(10.0 ** np.arange(begin, last + 1, stride))
 
 
-# --- Long series made short for the eye: lowest and highest value of each column of the paper.
+# --- Long series are reduced to the lowest and highest value of each column of the panel.
 
 COLUMNS: Final = 150
 """Columns of a panel: about two screen pixels each."""
 _FEW: Final = 4
-"""So many curves have all columns each; more share as many, or the page of many filters would be too large to send."""
+"""Up to this many curves have all columns; more curves share them, to limit the size of the page."""
 
 
 def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> tuple[Floats, Floats]:
@@ -217,7 +217,7 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     x_low, x_high = limits(x, panel.x_scale)
     known = x[np.isfinite(x) & (x > 0.0)]
     if panel.x_scale == "log" and len(known) and known.min() < known.max():
-        x_low, x_high = float(known.min()), float(known.max())  # with air, half of the axis would be empty
+        x_low, x_high = float(known.min()), float(known.max())  # with a margin, half of the axis would be empty
     y_low, y_high = panel.y_limits or limits(y, panel.y_scale)
     right, bottom = WIDTH - _RIGHT, height - _BOTTOM
     if panel.equal:

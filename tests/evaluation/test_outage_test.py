@@ -51,13 +51,13 @@ def starts_s(plan: OutagePlan, rows: np.ndarray) -> list[float]:
 
 def test_windows_begin_after_the_burn_in_and_do_not_overlap() -> None:
     plan = plan_of(pings(1000.0), 1000.0)
-    assert [windows.window_s for windows in plan.judged] == [30, 60, 120, 300]
-    thirty, sixty, _, three_hundred = plan.judged
+    assert [windows.window_s for windows in plan.by_length] == [30, 60, 120, 300]
+    thirty, sixty, _, three_hundred = plan.by_length
     assert starts_s(plan, thirty.first) == list(range(100, 941, 30))
     assert starts_s(plan, sixty.first) == list(range(100, 911, 60))
     assert starts_s(plan, three_hundred.first) == [100, 400]
     assert starts_s(plan, plan.shown.first) == list(range(100, 911, 30))
-    for windows in (*plan.judged, plan.shown):
+    for windows in (*plan.by_length, plan.shown):
         np.testing.assert_array_equal(windows.last - windows.first, windows.window_s)
         assert windows.left_out == 0
 
@@ -68,7 +68,7 @@ def test_windows_begin_after_the_burn_in_and_do_not_overlap() -> None:
 )
 def test_dive_needs_room_for_two_windows(duration_s: float, lengths: list[int]) -> None:
     plan = plan_of(pings(duration_s), duration_s)
-    assert [windows.window_s for windows in plan.judged] == lengths
+    assert [windows.window_s for windows in plan.by_length] == lengths
 
 
 @pytest.mark.parametrize("rate_hz", [0.5, 1.0, 4.7, 23.0])
@@ -76,11 +76,11 @@ def test_every_window_is_run_once_as_far_as_the_longest_goes(rate_hz: float) -> 
     plan = plan_of(pings(2000.0, rate_hz), 2000.0)
     first, last = plan.runs
     assert (np.diff(first) > 0).all()
-    for windows in (*plan.judged, plan.shown):
+    for windows in (*plan.by_length, plan.shown):
         run = np.searchsorted(first, windows.first)
         np.testing.assert_array_equal(first[run], windows.first)
         assert (last[run] >= windows.last).all()
-    ends = {int(row) for windows in (*plan.judged, plan.shown) for row in windows.last}
+    ends = {int(row) for windows in (*plan.by_length, plan.shown) for row in windows.last}
     assert set(last.tolist()) <= ends
     np.testing.assert_array_equal(plan.start_ns, plan.ping_ns[first])
     assert list(plan.windows_ns) == list(zip(plan.ping_ns[first], plan.ping_ns[last], strict=True))
@@ -93,7 +93,7 @@ def without(ping_ns: TimeNs, *spans_s: tuple[float, float]) -> TimeNs:
 
 def test_windows_with_an_outage_are_left_out_and_counted() -> None:
     plan = plan_of(without(pings(424.0), (110.0, 115.0)), 424.0)
-    thirty, sixty, hundred_and_twenty = plan.judged
+    thirty, sixty, hundred_and_twenty = plan.by_length
     assert (starts_s(plan, thirty.first), thirty.left_out) == (list(range(130, 371, 30)), 1)
     assert (starts_s(plan, sixty.first), sixty.left_out) == ([160, 220, 280, 340], 1)
     assert (starts_s(plan, hundred_and_twenty.first), hundred_and_twenty.left_out) == ([220], 1)
@@ -103,29 +103,29 @@ def test_windows_with_an_outage_are_left_out_and_counted() -> None:
     ("outage_s", "left_out"), [((97.0, 104.0), 1), ((126.0, 134.0), 2), ((128.0, 140.0), 2), ((391.0, 399.0), 1)]
 )
 def test_window_whose_end_has_no_ping_near_is_left_out(outage_s: tuple[float, float], left_out: int) -> None:
-    thirty, *_ = plan_of(without(pings(424.0), outage_s), 424.0).judged
+    thirty, *_ = plan_of(without(pings(424.0), outage_s), 424.0).by_length
     assert (thirty.left_out, len(thirty.first)) == (left_out, 10 - left_out)
 
 
 def test_single_lost_pings_are_no_outage() -> None:
     plan = plan_of(without(pings(424.0), *((s, s + 1.0) for s in range(110, 400, 7))), 424.0)
-    assert [windows.left_out for windows in plan.judged] == [0, 0, 0]
+    assert [windows.left_out for windows in plan.by_length] == [0, 0, 0]
 
 
 def test_windows_after_the_last_ping_of_all_are_left_out() -> None:
-    thirty, *_ = plan_of(pings(300.0), 424.0).judged
+    thirty, *_ = plan_of(pings(300.0), 424.0).by_length
     assert (starts_s(plan_of(pings(300.0), 424.0), thirty.first), thirty.left_out) == (list(range(100, 251, 30)), 4)
 
 
 def test_windows_with_a_gap_of_the_imu_are_left_out() -> None:
-    thirty, *_ = plan_of(pings(424.0), 424.0, gaps_s=((165.0, 166.0),)).judged
+    thirty, *_ = plan_of(pings(424.0), 424.0, gaps_s=((165.0, 166.0),)).by_length
     assert thirty.left_out == 1
 
 
 @pytest.mark.parametrize("ping_ns", [at(), at(5.0), pings(400.0, 0.01)], ids=["none", "one", "rare"])
 def test_pings_that_are_too_few_make_no_windows(ping_ns: TimeNs) -> None:
     plan = plan_of(ping_ns, 400.0)
-    assert plan.judged == ()
+    assert plan.by_length == ()
     assert list(plan.windows_ns) == []
 
 
@@ -227,7 +227,7 @@ def test_filters_are_paired_by_window() -> None:
     candidate = 0.8 * baseline
     candidate[0] = 2.0 * baseline[0]
     coasts = coasts_that_drift(baseline=baseline, aided=candidate)
-    before, after = (window_ends(coasts, name, coasts.plan.judged[0]).drift_m for name in coasts.runs)
+    before, after = (window_ends(coasts, name, coasts.plan.by_length[0]).drift_m for name in coasts.runs)
     assert sorted(after / before) == pytest.approx([0.8] * (len(before) - 1) + [2.0])
     row, expected = rows_of(coasts)["aided", "30"], windows_ratio(before, after)
     assert [row.ratio_to_baseline, row.ratio_low, row.ratio_high] == [expected.ratio, expected.low, expected.high]
