@@ -146,7 +146,7 @@ def test_longer_segments_of_one_stretch_are_one_sample_too() -> None:
     smeared = squared_errors(errors(rng)), squared_errors(0.5 * errors(rng))
     rows = evidence({"drift_30s": outage(rng, 0.5), "drift_100m": smeared, "level": smeared})
     assert [row.verdict for row in rows.values()] == ["undecided", "undecided", "better"]
-    assert re.findall(r"\d+", rows["drift_100m"].why) == ["0", "0"]
+    assert "one stretch" in rows["drift_100m"].why
 
 
 def test_a_copy_is_equivalent_however_noisy_the_reference_is() -> None:
