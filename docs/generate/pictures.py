@@ -42,7 +42,7 @@ def sigmas(replay: Replay) -> bytes:
 
 def track(replay: Replay) -> bytes:
     """Draw the way from above, and the turn rate."""
-    motion = next(figure for figure in replay_figures(replay) if figure.title == "What the vehicle did")
+    motion = next(figure for figure in replay_figures(replay) if figure.title == "Motion of the vehicle")
     return sheet_svg(replace(motion, panels=(motion.panels[0], motion.panels[2])))
 
 

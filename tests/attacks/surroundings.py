@@ -120,7 +120,7 @@ def _writing(folder: Path) -> Iterator[Outcome]:
         yield _judged(f"5 a link {name}", code, said, 2, "is not replaced")
     code, _, said = _ended(folder, "check", "gates.toml", "dive.mcap", "--output", "absent/deep/gates.xml")
     made = (folder / "absent").exists()
-    yield _judged("5 --output in no folder", -2 if made else code, said, 2, "there is no folder")
+    yield _judged("5 --output in no folder", -2 if made else code, said, 2, "does not exist")
 
 
 def _cache(folder: Path) -> Iterator[Outcome]:

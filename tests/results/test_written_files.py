@@ -148,7 +148,7 @@ def test_only_files_that_the_result_lists_are_removed(name: str, tmp_path: Path)
     (target / name).write_text("mine")
     with pytest.raises(ConfigError) as refused:
         written(target, "new")
-    sentence = f"{target}: holds {name}, which its result did not write, and is not replaced"
+    sentence = f"{target}: is not replaced, because {name} is not a file of its result"
     assert refused.value.message == sentence
     assert (target / name).read_text() == "mine"
     assert '"old"' in (target / COMPLETE).read_text()
