@@ -73,7 +73,7 @@ def test_a_link_to_a_file_stays_and_the_file_is_replaced_at_once(tmp_path: Path)
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize(
     ("leads", "named"),
-    [("absent", "absent"), ("folder", "folder"), ("link", "not there")],
+    [("absent", "absent"), ("folder", "folder"), ("link", "does not exist")],
 )
 def test_a_link_that_leads_to_no_file_is_refused_in_words(leads: str, named: str, force: bool, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
