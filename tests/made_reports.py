@@ -99,7 +99,7 @@ def report(name: str = "dive", used: Tables | None = None) -> Report:
     notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
     used = used or tables()
     aided = CandidateVerdict(
-        "aided believes in smaller errors",
+        "aided predicts smaller sigma",
         "better",
         "consistent",
         mean_over_nine(used.improvement, "aided"),

@@ -16,7 +16,7 @@ BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
 
 
-def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = False) -> list[Path]:
+def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = False) -> list[Path]:
     """Find the dives that are meant, in the order of the names, by name below a folder, and each once.
 
     A name is a log, .mcap, .db3 or .bag; a bag folder; a folder, which stands for every log and bag below it; a pattern
@@ -32,7 +32,7 @@ def find_dives(names: Sequence[str], beside: Path = Path(), *, results: bool = F
     found: dict[str, Path] = {}
     for name in names:
         try:
-            for dive in _meant(name, beside, results=results):
+            for dive in _meant(name, base, results=results):
                 found.setdefault(os.path.realpath(dive), dive)
         except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
             reason = getattr(error, "strerror", None) or error
@@ -44,8 +44,8 @@ def _natural(path: Path) -> tuple[NaturalKey, ...]:
     return tuple(map(natural_key, path.parts))
 
 
-def _meant(name: str, beside: Path, *, results: bool, lists: bool = True) -> list[Path]:
-    path = beside / name
+def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[Path]:
+    path = base / name
     if lists and path.suffix == LIST_SUFFIX and path.is_file():
         try:
             lines = [line.strip() for line in read_text(path).splitlines()]

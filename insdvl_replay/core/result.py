@@ -390,9 +390,13 @@ def as_json(content: Any) -> bytes:
     return msgspec.json.format(msgspec.json.encode(content)) + b"\n"
 
 
+# Made once, before threads: msgspec 0.22 ends the process if two of them meet a type for the first time.
+_REPORTS: Final = msgspec.json.Decoder(Report)
+
+
 def decode_report(data: bytes) -> Report:
     """Read a report; raises a msgspec.ValidationError if the data are not a report."""
-    return msgspec.json.decode(data, type=Report)
+    return _REPORTS.decode(data)
 
 
 # --- A stored report of this or another version, with the tables, rows and columns that it has.

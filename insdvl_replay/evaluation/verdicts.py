@@ -528,12 +528,12 @@ class PooledCandidate:
     baseline: str
     rows: tuple[PooledRow, ...]  # the row that decides first in front
     dives: int  # that have the candidate
-    judged: int  # in which it is evaluated
+    evaluated: int  # in which it is evaluated
 
     @property
     def verdict(self) -> Verdict:
         """The pooled verdict; not evaluated if at least half of the dives are not."""
-        if 2 * self.judged <= self.dives:
+        if 2 * self.evaluated <= self.dives:
             return Verdict.NOT_EVALUATED
         return verdict_of(self.rows, DECIDING_TOGETHER)
 
@@ -550,7 +550,7 @@ def pooled_candidate(
 
 def pooled_sentence(pooled: PooledCandidate) -> str:
     """Return the pooled verdict on a candidate as one sentence."""
-    verdict, dives = pooled.verdict, f"{pooled.judged} of {pooled.dives} dives"
+    verdict, dives = pooled.verdict, f"{pooled.evaluated} of {pooled.dives} dives"
     if verdict == Verdict.NOT_EVALUATED:
         found = f"it is evaluated in only {dives}. Settle the others first"
         return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."

@@ -303,8 +303,8 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
         seen, others = f"{felt}; in a level vehicle it must be along -z", range(1, 3)
     texts = []
     for rate, force_axes in (words[row] for row in others):
-        beside = f' with specific_force_axes = "{force_axes}"' if force_axes != rate else ""
-        texts.append(f'axes = "{rate}"{beside}')
+        also = f' with specific_force_axes = "{force_axes}"' if force_axes != rate else ""
+        texts.append(f'axes = "{rate}"{also}')
     built_in = f"how the IMU is built in; it could also be {', or '.join(texts)}" if texts else ""
     rate, force_axes = words[best]
     yield Setting("imu.axes", rate, seen, built_in)

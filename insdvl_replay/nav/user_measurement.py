@@ -114,8 +114,8 @@ def load_user_measurement(word: str) -> UserMeasurement:
             "has a predict that is not a static method: write @staticmethod above predict(ins, z, H)",
         ),
     )
-    for is_mistake, text in mistakes:
-        if is_mistake:
+    for is_wrong, text in mistakes:
+        if is_wrong:
             raise ValueError(text)
     return user
 

@@ -58,6 +58,9 @@ class _Label(msgspec.Struct):
     files: dict[str, str] = {}
 
 
+_LABELS: Final = msgspec.json.Decoder(_Label)  # made before threads use it
+
+
 def history_file(name: str, format_: str) -> str:
     """Name the file of a filter's whole history, in ``csv`` or ``parquet``."""
     return f"history_{name}.{format_}"
@@ -250,7 +253,7 @@ def is_result(folder: Path) -> bool:
     if not (folder / COMPLETE).is_file():
         return False
     try:
-        label = msgspec.json.decode((folder / COMPLETE).read_bytes(), type=_Label)
+        label = _LABELS.decode((folder / COMPLETE).read_bytes())
     except (OSError, *NOT_JSON):
         return True
     return label.tool.get("name", TOOL) == TOOL
@@ -262,7 +265,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     A report that was damaged does not list them: a folder with all files of a dive's result is one nevertheless.
     """
     try:
-        label = msgspec.json.decode(read_file(folder / COMPLETE), type=_Label)
+        label = _LABELS.decode(read_file(folder / COMPLETE))
     except (OSError, *NOT_JSON):
         label = _Label(tool={})
     if label.tool.get("name") == TOOL:

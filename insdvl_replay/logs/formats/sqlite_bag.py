@@ -97,13 +97,13 @@ class SqliteFile(LogFile):
         if len(header) < 100 or size != len(self.file):
             raise self._damaged(f"it has {len(self.file)} bytes where its header says {size}")
         for ending, (what, statement) in _JOURNALS.items():
-            beside = Path(f"{os.path.realpath(self.path)}{ending}")
-            if beside.is_file():
-                with beside.open("rb") as stream:
+            companion = Path(f"{os.path.realpath(self.path)}{ending}")
+            if companion.is_file():
+                with companion.open("rb") as stream:
                     start = stream.read(8)
                 if any(start):  # one that is done with is empty or begins with zeros
                     hint = f"keep a copy of both, then `sqlite3 {self.path} '{statement}'` merges them"
-                    raise LogError(f"is not complete: {beside.name} {what}", hint, self.path)
+                    raise LogError(f"is not complete: {companion.name} {what}", hint, self.path)
 
     def _damaged(self, found: str) -> UnusableFileError:
         saved = self.path.with_name(f"saved_{self.path.name}")
