@@ -105,7 +105,7 @@ def test_what_is_known_of_the_bias_is_one_measurement_more() -> None:
 
 def test_a_dive_whose_track_reports_no_heading_says_so(truth: Dive) -> None:
     dive = among_positions(truth, 5, 0.0)
-    with pytest.raises(LogError, match="heading at the start"):
+    with pytest.raises(LogError, match="start heading"):
         replay_dive(dive, once("mems", "span.end_s=40"))
     assert dive.reference is not None
     nowhere = replace(dive, reference=replace(dive.reference, position=np.full_like(dive.reference.position, np.nan)))

@@ -159,7 +159,7 @@ def test_a_column_that_a_filter_does_not_have_is_refused(with_depth: Dive) -> No
     config = msgspec.structs.replace(config, filters={**config.filters, "mine": mine})
     with pytest.raises(ConfigError, match=r"Deep: predict\(ins, z, H\) .*\d+ .*IndexError") as refusal:
         prepare_dive(with_depth, config)
-    assert re.search(r'filters\.mine .*12 .*\(1,\) .*\(1, 12\); states = \["position"\] .*12 .*14', refusal.value.hint)
+    assert re.search(r'filters\.mine .*12 .*\(1,\) .*\(1, 12\); .*12 .*14: states = \["position"\]', refusal.value.hint)
 
 
 @pytest.mark.parametrize(
