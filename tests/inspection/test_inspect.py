@@ -268,7 +268,7 @@ def merged(file: Path, proposal: str) -> str:
 
 def settings_in(hint: str) -> dict[str, str]:
     """Take the settings of a hint; what only a person can know is made up."""
-    found = re.findall(r"--set (\S+?)=(\S+)", hint) or re.findall(r"([a-z]+\.\w+) = ([\w./\"]+)", hint)[:1]
+    found = re.findall(r"--set (\S+?)=([^\s;]+)", hint) or re.findall(r"([a-z]+\.\w+) = ([\w./\"]+)", hint)[:1]
     unknown = {'"/topic"', '"field.path"'}
     meant = [(key, value) for key, value in found if value not in unknown and key != "reference.topic"]
     return {key: f"{key}={'10' if value == '...' else value}" for key, value in meant}

@@ -241,9 +241,9 @@ def test_note_reports_the_level_and_its_uncertainty() -> None:
     found = levelled(exact("reeling"), Config(initial=LEVEL))
     roll_deg, pitch_deg, _ = rpy_from_mat(found.start.mat_nb) / DEG
     (note,) = (note for note in found.notes if note.code == "start_levelled")
-    assert note.text.startswith(f"roll {roll_deg:.2f} +- 2.")
+    assert note.text.startswith(f"start roll {roll_deg:.2f} +- 2.")
     assert f"pitch {pitch_deg:.2f} +- 2." in note.text
-    assert re.search(r" 10 s, .* 30 deg$", note.text)
+    assert re.search(r" 10 s; heading 30 deg$", note.text)
 
 
 # --- At sea.

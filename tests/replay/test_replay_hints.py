@@ -76,7 +76,7 @@ def test_an_arm_that_nobody_reported_of_is_seen_along_the_axes(
     assert "insdvl-replay calibrate" in found.hint
     # Turns move an arm that points forward to starboard, and one that points to starboard backwards.
     largest = "y" if arm_m[0] else "x"
-    assert f"along {largest} " in found.text
+    assert f" {largest} is " in found.text
 
 
 @pytest.mark.parametrize("scenario", [pytest.param("lawnmower", marks=pytest.mark.nightly), "figure-eight"])
