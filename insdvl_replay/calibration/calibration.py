@@ -214,13 +214,8 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Fl
         elif row == DELAY and abs(change[row]) > LATEST_S - DELAY_STEP_S:
             yield row, (Estimated.IMPLAUSIBLE, "at the edge of the search range. Check the clocks and stamps")
         elif row == SCALE and _is_wild(change[row]):
-            yield (
-                row,
-                (
-                    Estimated.IMPLAUSIBLE,
-                    "larger than any error of the speed of sound. The DVL may smooth, or the stamps may jitter",
-                ),
-            )
+            reason = "larger than any error of the speed of sound. The DVL may smooth, or the stamps may jitter"
+            yield row, (Estimated.IMPLAUSIBLE, reason)
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
             yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration. Check the axes")
 

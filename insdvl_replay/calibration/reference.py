@@ -428,13 +428,8 @@ def _refused(certainty: Certainty, change: Floats, free: Mask) -> Refusals:
         elif certainty.signal_to_noise[row] < SEEN:
             yield row, (Estimated.HELD, f"needs {parameter.shown_by}")
         elif row == SCALE and abs(np.expm1(change[row])) > PLAUSIBLE_SCALE:
-            yield (
-                row,
-                (
-                    Estimated.IMPLAUSIBLE,
-                    "larger than any error of the speed of sound. Check the unit of the reference's velocity",
-                ),
-            )
+            reason = "larger than any error of the speed of sound. Check the unit of the reference's velocity"
+            yield row, (Estimated.IMPLAUSIBLE, reason)
         elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
             yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration. Check axes and clocks")
 

@@ -25,6 +25,8 @@ def main() -> NoReturn:
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: PTH123, SIM115
     code = run_command_line(sys.argv[1:])
+    # Under ``python -m``, an interruption within an `exec` would end Python with SIGINT; another one takes that back.
+    exec("")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is exiting already; keep its exit code
     try:
         if code == INTERRUPTED:

@@ -13,7 +13,7 @@ from base_logs import ROOT
 from living import PATIENCE_S, half_written, hidden, started, waited
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-INTERRUPTED = (130, -signal.SIGINT)  # Python itself ends so where it is stopped within `exec`; a shell says 130
+INTERRUPTED = 130
 BARE = "ended by the bare signal"
 """Before or after the program: as Python starts it prints a traceback of its own modules."""
 GATES = (ROOT / "examples" / "archive" / "gates.toml").read_text("utf-8")
@@ -100,7 +100,7 @@ def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: li
         return "traceback" if str(ROOT / "insdvl_replay") in said else BARE
     if hidden(folder):
         return "leftovers"
-    return {4: "exit 4", -number: BARE}.get(code, "ok" if code in (0, *INTERRUPTED) else "other code")
+    return {4: "exit 4", -number: BARE}.get(code, "ok" if code in (0, INTERRUPTED) else "other code")
 
 
 def _again(folder: Path, name: str) -> str:

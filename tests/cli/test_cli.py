@@ -309,6 +309,27 @@ def test_an_interruption_during_an_import_is_an_interruption(signal_: str, dive:
     assert (result.returncode, result.stderr) == (130, "error: interrupted\n")
 
 
+STOPPED_IN_EXEC = """
+from insdvl_replay import cli
+
+def interrupted(_):
+    try:
+        exec("raise KeyboardInterrupt")
+    except KeyboardInterrupt:
+        return cli.INTERRUPTED
+
+cli.run_command_line = interrupted
+cli.main()
+"""
+
+
+def test_an_interruption_within_exec_is_130_under_python_m(tmp_path: Path) -> None:
+    """Python would end with the signal: it remembers that an `exec` was interrupted, whoever caught it."""
+    (tmp_path / "stopped.py").write_text(STOPPED_IN_EXEC, "utf-8")
+    ended = subprocess.run([sys.executable, "-m", "stopped"], cwd=tmp_path, capture_output=True, text=True)
+    assert (ended.returncode, ended.stderr) == (130, "error: interrupted\n")
+
+
 @pytest.mark.parametrize("signal_", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM])
 def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, dive: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "-o", "out"]
