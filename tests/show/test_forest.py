@@ -1,0 +1,67 @@
+"""Forest plots: where a ratio is drawn, what is beyond the axis, and what is not drawn."""
+
+import re
+
+import pytest
+
+from insdvl_replay.show.forest import LEFT, RIGHT, ForestRow, axis_end, forest, forest_svg, place
+
+
+def across(tag: str, attribute: str, svg: str) -> list[float]:
+    """The places of all elements of a kind, in percent of the width."""
+    return [float(found) for found in re.findall(rf'<{tag} [^>]*?{attribute}="([\d.]+)%"', svg)]
+
+
+def test_half_and_twice_are_the_ends_of_the_axis_and_one_is_its_middle() -> None:
+    svg = forest_svg([ForestRow("drift", ratio, 0.5, 2.0) for ratio in (1.0, 0.5, 2.0)])
+    assert across("circle", "cx", svg) == [49.0, 31.0, 67.0]
+    assert across('line class="interval"', "x1", svg) == [31.0] * 3
+    assert across('line class="interval"', "x2", svg) == [67.0] * 3
+    assert across('line class="one"', "x1", svg) == [49.0]
+    (left,), (width,) = across('rect class="within"', "x", svg), across('rect class="within"', "width", svg)
+    assert left == pytest.approx(place(1.0 / 1.05, 2.0), abs=0.01)
+    assert left + width / 2.0 == pytest.approx(49.0, abs=0.01)
+
+
+def test_a_ratio_beyond_the_axis_is_an_arrow_with_its_size() -> None:
+    near = [ForestRow("drift", 1.0)] * 4
+    svg = forest_svg([*near, ForestRow("outage", 50.03, 40.0, 60.0, "worse"), ForestRow("level", 0.02)])
+    assert re.findall(rf'class="beyond" x="({RIGHT}|{LEFT})%"[^>]*>([^<]+)<', svg) == [
+        (f"{RIGHT}", "50x ▶"), (f"{LEFT}", "◀ 0.02x")
+    ]  # fmt: skip
+    assert svg.count("<circle") == len(near)
+    assert "interval" not in svg
+
+
+def test_an_interval_that_goes_on_beyond_the_axis_ends_in_a_tip() -> None:
+    svg = forest_svg([ForestRow("drift", 1.0, 0.4, 1.5), ForestRow("drift", 1.0, 0.6, 1.5)])
+    assert across('svg class="tip"', "x", svg) == [LEFT]
+
+
+@pytest.mark.parametrize(
+    ("ratios", "end"),
+    [([1.0, 1.1, 3.0], 2.0), ([1.0, 3.0], 5.0), ([0.1], 20.0), ([1e9], 100.0), ([], 2.0), ([None], 2.0)],
+)
+def test_the_axis_is_the_shortest_with_two_thirds_of_the_ratios(ratios: list[float | None], end: float) -> None:
+    assert axis_end([ForestRow("drift", ratio) for ratio in ratios]) == end
+
+
+def test_what_is_missing_is_not_drawn_and_rows_share_a_footnote() -> None:
+    why = "fewer than 3 dives"
+    text = forest("All <dives>", [
+        ForestRow("drift", 0.9, text="0.90", why=why), ForestRow("level", None, text="-"),
+        ForestRow("heading", 0.8, text="0.80", why=why),
+    ])  # fmt: skip
+    assert text.count("<circle") == 2
+    assert "interval" not in text
+    assert text.count(why) == 1
+    assert text.count("¹") == 3
+    assert "All &lt;dives&gt;" in text
+
+
+def test_a_long_name_is_shortened_in_the_middle_and_its_link_is_whole() -> None:
+    name = "rosbag2_2024_05_03-12_30_11"
+    svg = forest_svg([ForestRow(name, 1.0, link=f"{name}/report.html")])
+    assert f'<a href="{name}/report.html">' in svg
+    assert f"<title>{name}</title>" in svg
+    assert ">rosbag2_2…3-12_30_11<" in svg
