@@ -70,16 +70,9 @@ class Curve:
     style: str  # class in the style sheet
     points: bool = False
     label: str = ""  # text at the end of the line
-
-
-@dataclass(frozen=True)
-class Band:
-    """The area between two lines, below the curves."""
-
-    x: "Floats"  # (k,)
-    low: "Floats"  # (k,)
-    high: "Floats"  # (k,)
-    style: str
+    band: "tuple[Floats, Floats] | None" = None  # (k,), lower and upper edge of the area about the line
+    name: str | None = None  # at the cursor; None: the label, or that of the style in the legend; empty: not read
+    time: "Floats | None" = None  # (k,), of each point of a track, in seconds
 
 
 @dataclass(frozen=True)
@@ -103,13 +96,13 @@ class Panel:
     title: str  # with the unit of the vertical axis
     x_label: str  # with the unit
     curves: tuple[Curve, ...]  # the last is on top
-    bands: tuple[Band, ...] = ()
     levels: tuple[float, ...] = ()  # horizontal lines, drawn as limits
     y_scale: Scale = "linear"  # a logarithmic axis leaves out values that are not positive
     y_limits: tuple[float, float] | None = None  # None: fits the curves
     equal: bool = False  # both axes have the same scale
     x_whole: bool = False  # ticks are whole numbers
     x_scale: Scale = "linear"
+    x_limits: tuple[float, float] | None = None  # None: fits the curves
     shades: tuple[Shade, ...] = ()
     low: bool = False  # usual height although `equal`
 

@@ -405,7 +405,7 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
 
     caption = "Line: median of the runs from all starts. Shaded: range of the runs. " if len(first) > 1 else ""
     sensors = captioned(
-        "Sensors and gaps",
+        "Data coverage",
         "Height: share of the time with valid samples. A dip is a gap.",
         strips,
     )

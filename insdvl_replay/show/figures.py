@@ -15,7 +15,6 @@ from insdvl_replay.core.result import (
     PREDICTED,
     REFERENCE,
     REJECTED,
-    Band,
     Curve,
     Figure,
     Panel,
@@ -43,8 +42,8 @@ _SHOWN, _AIR = 0.97, 1.15
 """Share of the values that a panel shows, since one outage would flatten all others; and margin above."""
 _MISSING: Final = 2.5
 """A gap is longer than this many usual steps."""
-_WIDEST: Final = 4.0
-"""A panel shows a band up to this many times the largest error."""
+_WIDEST: Final = 1.5
+"""A panel shows a band up to this many times the largest error, so that errors fill the panel."""
 _UNITS: Final = ((2 * 3600.0, 3600.0, "h"), (20 * 60.0, 60.0, "min"), (0.0, 1.0, "s"))
 """Least length, size and name of each unit."""
 
@@ -60,6 +59,11 @@ class Clock:
     def label(self) -> str:
         """The label of a time axis."""
         return f"time [{self._unit[1]}]"
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """The limits of a time axis."""
+        return 0.0, float(self.time(np.array([self.end_ns]))[0])
 
     def time(self, time_ns: TimeNs) -> Floats:
         """Return times since the start in the axis's unit, shape (k,)."""
@@ -85,25 +89,28 @@ def replay_figures(replay: Replay) -> tuple[Figure, ...]:
     )
     shades = shades_of(replay)
     return tuple(
-        replace(figure, panels=tuple(_shaded(panel, shades, clock) for panel in figure.panels)) for figure in figures
+        replace(figure, panels=tuple(_over_time(panel, shades, clock) for panel in figure.panels)) for figure in figures
     )
 
 
 def first_panels(replay: Replay) -> list[Panel]:
     """Draw the first two panels: the horizontal error over time, or the drift without DVL; and the track."""
-    clock, panels = Clock(replay.start_ns, replay.end_ns), [track_panel(replay)]
+    return [*error_panel(replay), track_panel(replay)]
+
+
+def error_panel(replay: Replay) -> Iterator[Panel]:
+    """Draw the horizontal error over time; without a reference the drift without DVL, if it is known."""
+    clock = Clock(replay.start_ns, replay.end_ns)
     if replay.curves.position:
-        curves, bands = [], []
+        curves = []
         for number, (name, curve) in enumerate(replay.curves.position.items()):
             time = clock.time(replay.start_ns + np.round(curve.time_s * NS_PER_S).astype(np.int64))
-            curves.append((name, time, curve.median_m))
-            if curve.starts > 1:
-                bands.append(Band(time, curve.low_m, curve.high_m, filter_style(number)))
-        title = "horizontal position error [m]"
-        panels.insert(0, Panel(title, clock.label, _filter_curves(curves, named=True), tuple(bands)))
+            band = (curve.low_m, curve.high_m) if curve.starts > 1 else None
+            curves.append(Curve(time, curve.median_m, filter_style(number), label=name, band=band))
+        panel = Panel("horizontal position error [m]", clock.label, dashes_on_top(curves))
+        yield _over_time(panel, shades_of(replay), clock)
     elif replay.curves.outage:
-        panels.insert(0, _drift_panel(replay.curves.outage))
-    return [_shaded(panel, shades_of(replay), clock) for panel in panels]
+        yield _drift_panel(replay.curves.outage)
 
 
 def _filter_curves(curves: Iterable[tuple[str, Floats, Floats]], *, named: bool = False) -> tuple[Curve, ...]:
@@ -133,24 +140,25 @@ def _error_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
         found.append((history.filter, errors.time_ns, state_error, history.sd[rows, :6], errors.position_error_ned_m))
     panels = []
     for state in STATES[:6]:
-        curves, bands, shown = [], [], []
-        for number, (name, time_ns, state_error, state_sd, _) in enumerate(found):
+        curves, shown = [], []
+        for number, (_, time_ns, state_error, state_sd, _) in enumerate(found):
             time = clock.time(time_ns)
             error, sd = (column[:, state.index] / state.factor for column in (state_error, state_sd))
-            curves.append((name, time, error))
-            bands.append(Band(time, -SIGMAS * sd, SIGMAS * sd, filter_style(number)))
+            band = -SIGMAS * sd, SIGMAS * sd
+            curves.append(Curve(time, error, filter_style(number), band=band))
             largest = float(np.max(np.abs(error), where=np.isfinite(error), initial=0.0)) or np.inf
             height = min(SIGMAS * _settled_height(sd[_settled(time_ns, clock)]), _WIDEST * largest)
             shown += [error, np.array([-height, height])]
         title, y_limits = f"{state.label} [{state.unit}]", limits(np.concatenate(shown))
-        panels.append(Panel(title, clock.label, _filter_curves(curves, named=True), tuple(bands), y_limits=y_limits))
+        panels.append(Panel(title, clock.label, dashes_on_top(curves), y_limits=y_limits))
     for axis, direction in enumerate(("north", "east", "down")):
-        curves = [(name, clock.time(time_ns), position[:, axis]) for name, time_ns, _, _, position in found]
-        panels.append(Panel(f"position error, {direction} [m]", clock.label, _filter_curves(curves)))
+        series = [(name, clock.time(time_ns), position[:, axis]) for name, time_ns, _, _, position in found]
+        panels.append(Panel(f"position error, {direction} [m]", clock.label, _filter_curves(series)))
     yield Figure(
-        "Errors against the reference",
-        "Shaded: three sigma of each filter to either side. The errors of a consistent filter stay inside and fill "
-        "much of the band. A band that is much wider than the errors is cut off. The position has no band.",
+        "Errors against the reference (3 sigma)",
+        "Shaded, or between dotted lines: 3 sigma of each filter to either side. The errors of a consistent filter "
+        "stay inside and fill much of the band. A band that is wider than the panel is cut off. The position has no "
+        "band.",
         tuple(panel for panel in panels if any(np.isfinite(curve.y).any() for curve in panel.curves)),
         _legend(name for name, *_ in found),
     )
@@ -180,24 +188,29 @@ def outage_figure(curves: Mapping[str, OutageCurve], clock: Clock) -> Iterator[F
     by_window = [(name, clock.time(curve.begin_ns), curve.drift_m) for name, curve in curves.items()]
     yield Figure(
         "DVL outage test: drift without the DVL",
-        f"Measured by the held-out velocities; no reference is needed. Left: median {how}; shaded: 95 % of them. "
-        f"Right: each window, at its begin. {OutageRow.footnote}",
+        f"Measured by the held-out velocities; no reference is needed. Left: median {how}. Right: each window, at its "
+        f"begin. {OutageRow.footnote}",
         (
             _drift_panel(curves),
-            Panel(f"drift in {SHOWN_S} s, at the begin of each window [m]", clock.label, _filter_curves(by_window)),
+            Panel(
+                f"drift in {SHOWN_S} s, at the begin of each window [m]",
+                clock.label,
+                _filter_curves(by_window),
+                y_scale="log",
+            ),
         ),
-        _legend(curves),
+        (*_legend(curves), (f"{REFERENCE} {PREDICTED}", "95 % of the windows drift less")),
     )
 
 
 def _drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
     """Draw the drift over the time without DVL: median, and the limit of 95 %."""
-    lines = _filter_curves([(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True)
-    bands = tuple(
-        Band(curve.time_s, np.zeros_like(curve.p95_m), curve.p95_m, filter_style(number))
-        for number, curve in enumerate(curves.values())
-    )
-    return Panel("horizontal drift [m]", "time without DVL [s]", lines, bands)
+    medians = _filter_curves([(name, curve.time_s, curve.median_m) for name, curve in curves.items()], named=True)
+    limits_95 = [
+        Curve(curve.time_s, curve.p95_m, f"{filter_style(number)} {PREDICTED}", name=f"{name} 95 %")
+        for number, (name, curve) in enumerate(curves.items())
+    ]
+    return Panel("horizontal drift [m]", "time without DVL [s]", (*limits_95, *medians), y_scale="log")
 
 
 _CONVERGED: Final = {
@@ -223,7 +236,9 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
         shown = found.time_s >= max(_FIRST_S, _FIRST * found.time_s[-1])
         time_s, limit = found.time_s[shown], found.limit / unit
         predicted = [
-            Curve(time_s, found.predicted[name][shown] / unit, f"{filter_style(number)} {PREDICTED}")
+            Curve(
+                time_s, found.predicted[name][shown] / unit, f"{filter_style(number)} {PREDICTED}", name=f"{name} sigma"
+            )
             for number, name in enumerate(names)
         ]
         measured = _filter_curves([(name, time_s, found.rms[name][shown] / unit) for name in names])
@@ -239,9 +254,10 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
         panels.append(Panel(title, "time [s]", drawn, levels=(limit,), y_scale="log", x_scale="log"))
     if panels:
         yield Figure(
-            "Measured convergence: errors of the start over time",
-            "Rms of the true errors of runs from drawn starts, over the last tenth of the elapsed time. A point marks "
-            f"the time from which a filter is as good as {names[0]} at the end. No point: the error does not fall.",
+            "Convergence",
+            "Measured: rms of the true errors of runs from drawn starts, over the last tenth of the elapsed time. A "
+            f"point marks the time from which a filter is as good as {names[0]} at the end. No point: the error does "
+            "not fall.",
             tuple(panels),
             (
                 *_legend(names),
@@ -304,8 +320,9 @@ def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[i
             title, levels = f"{history.filter}: NIS of the {innovations.measurement}", interval(innovations.dof)
             panels.append(Panel(title, clock.label, curves, levels=levels, y_scale="log"))
     return Figure(
-        "Normalised innovations squared (NIS)",
-        "Above the interval a filter is overconfident. Below the interval it is conservative.",
+        "Innovation consistency (NIS)",
+        "Normalised innovations squared. Above the interval a filter is overconfident. Below the interval it is "
+        "conservative.",
         tuple(panels),
         (
             *_legend(history.filter for history in histories),
@@ -340,7 +357,10 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     ]
     if (known := _reference_track(replay)) is not None:
         tracks.append(("reference", REFERENCE, *known))
-    above = [Curve(ned_m[:, 1], ned_m[:, 0], style) for _, style, _, ned_m in tracks]
+    above = [
+        Curve(ned_m[:, 1], ned_m[:, 0], style, time=seconds(time_ns, replay.start_ns))
+        for _, style, time_ns, ned_m in tracks
+    ]
     down = [Curve(clock.time(time_ns), ned_m[:, 2], style) for _, style, time_ns, ned_m in tracks]
     speed_mps = np.hypot(baseline.velocity_n[:, 0], baseline.velocity_n[:, 1])
     # The turn rate is from ping to ping, where the states are far enough apart for a rate.
@@ -363,6 +383,8 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     )
 
 
+MAGNIFIED: Final = "magnified"
+"""Added to the style of a filter: its places are not read at the cursor."""
 SEEN: Final = 0.08
 """Share of the size of a track that its largest error is drawn as, at least half of it."""
 
@@ -373,9 +395,11 @@ def track_panel(replay: Replay) -> Panel:
     errors = {name: found for name, found in replay.errors.items() if np.isfinite(found.position_error_ned_m).any()}
     if known is None or not errors:
         origin = histories[0].position[0]
-        ned = [(history.filter, _ned_m(history.position, origin)) for history in histories]
-        curves = _filter_curves([(name, ned_m[:, 1], ned_m[:, 0]) for name, ned_m in ned], named=True)
-        return Panel("track: north [m] over east [m]", "east [m]", curves, equal=True, low=True)
+        drawn = []
+        for number, history in enumerate(histories):
+            time_s, ned_m = seconds(history.time_ns, replay.start_ns), _ned_m(history.position, origin)
+            drawn.append(Curve(ned_m[:, 1], ned_m[:, 0], filter_style(number), label=history.filter, time=time_s))
+        return Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True)
     times_ns, ned_m = known
     size_m = max(float(np.ptp(axis[np.isfinite(axis)])) for axis in (ned_m[:, 1], ned_m[:, 0]))
     largest_m = max(float(np.nanmax(np.abs(found.position_error_ned_m[:, :2]))) for found in errors.values())
@@ -387,8 +411,11 @@ def track_panel(replay: Replay) -> Panel:
         if (found := errors.get(history.filter)) is not None:
             rows = np.clip(np.searchsorted(times_ns, found.time_ns), 0, len(times_ns) - 1)
             off = ned_m[rows] + times * found.position_error_ned_m
-            drawn.append(Curve(off[:, 1], off[:, 0], filter_style(number), label=history.filter))
-    drawn.append(Curve(ned_m[:, 1], ned_m[:, 0], REFERENCE, label="reference"))
+            style = f"{filter_style(number)}{f' {MAGNIFIED}' if times > 1.0 else ''}"
+            time_s = seconds(found.time_ns, replay.start_ns)
+            drawn.append(Curve(off[:, 1], off[:, 0], style, label=history.filter, time=time_s))
+    reference_s = seconds(times_ns, replay.start_ns)
+    drawn.append(Curve(ned_m[:, 1], ned_m[:, 0], REFERENCE, label="reference", time=reference_s))
     much = f", errors {times:g} times as large" if times > 1.0 else ""
     return Panel(f"track{much}: north [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True)
 
@@ -463,8 +490,10 @@ def shades_of(replay: Replay) -> tuple[Shade, ...]:
     )
 
 
-def _shaded(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
-    return replace(panel, shades=shades) if panel.x_label == clock.label else panel
+def _over_time(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
+    """Give a panel over time the shades, and the axis of all such panels."""
+    is_linear = panel.x_label == clock.label and panel.x_scale == "linear"
+    return replace(panel, shades=shades, x_limits=clock.limits) if is_linear else panel
 
 
 # --- Strips: coverage of the dive by each sensor.

@@ -24,7 +24,7 @@ from insdvl_replay.core.result import (
     Title,
 )
 from insdvl_replay.show.document import cell_lines, parts_for
-from insdvl_replay.show.plot import panel_svg, style_sheet
+from insdvl_replay.show.plot import Legend, panel_svg, style_sheet
 
 _SHORT: Final = 20
 """Longer cells are folded; the others are on one line."""
@@ -171,10 +171,11 @@ def _table(table: DisplayTable) -> str:
 
 def _figure(figure: Figure) -> str:
     anchor = _anchor(figure.title)
-    legend = "".join(f"<li>{_key(style)}{escape(label)}</li>" for style, label in figure.legend)
-    panels = "\n".join(_zoomed(panel, f"{anchor}-{number}") for number, panel in enumerate(figure.panels, 1))
+    panels = "\n".join(
+        _zoomed(panel, f"{anchor}-{number}", figure.legend) for number, panel in enumerate(figure.panels, 1)
+    )
     content = f'<div class="panels">{panels}</div>' if panels else '<p class="footnote">nothing to draw</p>'
-    return captioned(escape(figure.title), escape(figure.caption), content, f'<ul class="legend">{legend}</ul>')
+    return captioned(escape(figure.title), escape(figure.caption), content, _keys(figure.legend))
 
 
 def captioned(title: str, caption: str, content: str, legend: str = "") -> str:
@@ -183,17 +184,25 @@ def captioned(title: str, caption: str, content: str, legend: str = "") -> str:
     return f"<figure>{head}{content}</figure>"
 
 
+def _keys(legend: Legend) -> str:
+    return f'<ul class="legend">{"".join(f"<li>{_key(style)}{escape(label)}</li>" for style, label in legend)}</ul>'
+
+
 def _key(style: str) -> str:
     """Draw the legend key of a style."""
     kind, path = ("points", "M20 5h0") if style == REJECTED else ("line", "M1 5H39")
     return f'<svg viewBox="0 0 40 10"><path class="{kind} {style}" d="{path}"/></svg>'
 
 
-def _zoomed(panel: Panel, anchor: str) -> str:
-    """Render a panel that a click enlarges to the window; a second click closes it. No script is needed."""
+def _zoomed(panel: Panel, anchor: str, legend: Legend = ()) -> str:
+    """Render a panel that a click enlarges to the window; a second click closes it. No script is needed.
+
+    The legend of a track is below it: at the ends of its lines there is no room.
+    """
+    own = [(curve.style, curve.label) for curve in panel.curves if curve.label] if panel.equal else []
     return (
         f'<div class="zoom{" tall" if panel.equal and not panel.low else ""}" id="{anchor}">'
-        f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel)}</a>'
+        f'<a class="open" href="#{anchor}" title="larger">{panel_svg(panel, legend)}</a>{_keys(own) if own else ""}'
         f'<a class="close" href="#{anchor}-back">back</a><i id="{anchor}-back"></i></div>'
     )
 

@@ -1,10 +1,13 @@
 """Panels as SVG: text stays text, colours and dashes are classes, and the same panel gives the same characters.
 
 Drawn by hand, since a page has dozens of panels: thirty take 0.05 s. Long series are made short without hiding peaks.
+
+Lines are in counts: whole numbers of a decimal step of the data, placed on the paper by a ``transform``. So each path
+has the values of its samples to the printed digits, which ``cursor.js`` reads, and zooming changes the transform alone.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -12,10 +15,11 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.errors import visible
-from insdvl_replay.core.result import Band, Curve, Figure, Panel, Scale
+from insdvl_replay.core.result import REFERENCE, Curve, Figure, Panel, Scale
 
 WIDTH: Final = 360.0
 HEIGHT: Final = 210.0
@@ -25,8 +29,14 @@ _PIXEL: Final = 0.7
 _POINT: Final = 3.0
 _LABEL, _ABOVE = 11.0, 4.0
 """Height of a name at the end of a line, and how far above the line it is."""
-_FAR: Final = 1e4
-"""Lines are cut at this distance from the panel."""
+_FAR: Final = 1e7
+"""Counts are cut here: thousands of heights of the panel, and about what a browser's numbers hold."""
+_DIGITS_X, _DIGITS_Y = 4, 3
+"""An axis is at least ten to this power counts long."""
+_LOG_DIGITS, _LOG_COUNTS = 3, 5000
+"""On a logarithmic axis values have three digits, and a decade has enough counts to tell them apart."""
+_SECONDS: Final = {"time [min]": 60.0, "time [h]": 3600.0}
+"""Seconds in the unit of an axis: values at the cursor are in seconds, as in files."""
 
 
 def style_sheet() -> str:
@@ -56,6 +66,41 @@ class Axis:
     end: float
     scale: Scale = "linear"
     whole: bool = False  # ticks are whole numbers
+    unit: float = 1.0  # counts are of values times this
+    digits: int = _DIGITS_Y
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of a count, for a linear axis."""
+        span = max(self.high - self.low, 1e-3 * max(abs(self.low), abs(self.high))) * self.unit
+        decimals = self.digits - math.floor(math.log10(span))
+        return 0 if -self.digits <= decimals < 0 else decimals
+
+    def counts(self, values: Floats) -> Floats:
+        """Return values as whole numbers of counts; NaN where a logarithmic axis has none."""
+        with np.errstate(over="ignore"):
+            if self.scale == "log":
+                logs = np.log10(np.where(values > 0.0, np.minimum(values, _LARGEST), np.nan))
+                powers = np.floor(logs)
+                digits = np.rint(10.0 ** (logs - powers + _LOG_DIGITS - 1))
+                numbers = _LOG_COUNTS * (np.log10(digits) + powers - _LOG_DIGITS + 1)
+            else:
+                numbers = values * (self.unit * 10.0**self.decimals)
+        counts: Floats = np.rint(np.clip(numbers, -_FAR, _FAR))
+        return counts
+
+    @property
+    def transform(self) -> tuple[float, float]:
+        """Return scale and offset from counts to places."""
+        low, high = (self.low, self.high) if self.scale == "linear" else (math.log10(self.low), math.log10(self.high))
+        size = _LOG_COUNTS if self.scale == "log" else self.unit * 10.0**self.decimals
+        scale = (self.end - self.start) / (high - low)
+        return scale / size, self.start - low * scale
+
+    @property
+    def reading(self) -> str:
+        """How ``cursor.js`` writes a count: decimals and unit, or ``log``."""
+        return "log" if self.scale == "log" else f"{self.decimals} {self.unit:g}"
 
     def place(self, values: Floats) -> Floats:
         """Return the places of values; NaN where a logarithmic axis has none."""
@@ -131,16 +176,16 @@ def _decades(low: float, high: float, count: int) -> Floats:
 COLUMNS: Final = 150
 """Columns of a panel: about two screen pixels each."""
 _FEW: Final = 4
-"""Up to this many curves have all columns; more curves share them, to limit the size of the page."""
+"""Up to this many curves and bands have all columns; more share them, to limit the size of the page."""
 
 
-def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> tuple[Floats, Floats]:
-    """Keep the lowest and the highest value of each column, where they are; x does not decrease.
+def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> NDArray[np.int64]:
+    """Return the rows with the lowest and the highest value of each column; x does not decrease.
 
     NaN remains where all of a column is missing. Lines of up to two points for each column are left as they are.
     """
     if len(x) <= 2 * columns:
-        return x, y
+        return np.arange(len(x))
     column = _column_of(x, columns)
     known = np.flatnonzero(np.isfinite(y))
     by_size = known[np.lexsort((y[known], column[known]))]
@@ -148,25 +193,15 @@ def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> tuple[Floats, Floa
     lowest, highest = by_size[begins], by_size[np.roll(begins, -1)]
     missing = np.unique(column, return_index=True)[1]
     missing = missing[~np.isin(column[missing], column[known])]
-    kept = np.unique(np.concatenate([lowest, highest, missing]))
-    return x[kept], y[kept]
+    return np.unique(np.concatenate([lowest, highest, missing]))
 
 
-def band_envelope(x: Floats, low: Floats, high: Floats, columns: int = COLUMNS) -> tuple[Floats, Floats, Floats]:
-    """Keep the lowest of the lower and the highest of the upper edge of a band in each column."""
-    if len(x) <= columns:
-        return x, low, high
-    starts = np.flatnonzero(np.diff(_column_of(x, columns), prepend=-1.0))
-    ends = np.append(starts[1:], len(x)) - 1
-    return (x[starts] + x[ends]) / 2.0, np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
-
-
-def without_standstill(x: Floats, y: Floats, step: float) -> tuple[Floats, Floats]:
-    """Keep the first point of each stay in a cell of a grid ``step`` wide, and the last point of all."""
+def without_standstill(x: Floats, y: Floats, step: float) -> NDArray[np.int64]:
+    """Return the rows of the first point of each stay in a cell of a grid ``step`` wide, and of the last point."""
     cells = np.floor(np.column_stack([x, y]) / step)
     moved = np.ones(len(x), dtype=bool)
     moved[1:-1] = (cells[1:-1] != cells[:-2]).any(axis=1)
-    return x[moved], y[moved]
+    return np.flatnonzero(moved)
 
 
 def _column_of(x: Floats, columns: int) -> Floats:
@@ -177,32 +212,44 @@ def _column_of(x: Floats, columns: int) -> Floats:
 # --- Panels.
 
 
-def panel_svg(panel: Panel) -> str:
-    """Draw a panel."""
+Legend = Sequence[tuple[str, str]]
+"""Style and meaning."""
+
+
+def panel_svg(panel: Panel, legend: Legend = ()) -> str:
+    """Draw a panel; the legend names its lines at the cursor."""
     tall = panel.equal and not panel.low
-    return _panel(panel, f'class="{"tall " if tall else ""}panel"')
+    return _panel(panel, f'class="{"tall " if tall else ""}panel"', dict(legend))
 
 
 def _height(panel: Panel) -> float:
     return WIDTH if panel.equal and not panel.low else HEIGHT
 
 
-def _panel(panel: Panel, place: str) -> str:
+def _panel(panel: Panel, place: str, names: Mapping[str, str]) -> str:
     height = _height(panel)
     x_axis, y_axis = _axes(panel, height)
     width, tall = WIDTH - _LEFT - _RIGHT, height - _TOP - _BOTTOM
     plot = f'x="{_LEFT:g}" y="{_TOP:g}" width="{width:g}" height="{tall:g}"'
     title = escape(panel.title)
+    (across, left), (down, top) = x_axis.transform, y_axis.transform
     return "".join(
         [
-            f'<svg {place} viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{title}">',
+            f'<svg {place} viewBox="0 0 {WIDTH:g} {height:g}" role="img" aria-label="{title}" '
+            f'data-x="{x_axis.reading}" data-y="{y_axis.reading}">',
             f'<text class="title" x="{_LEFT:g}" y="15">{title}</text>',
-            *_shades(panel, x_axis, y_axis),
             *_grid(panel, x_axis, y_axis),
             f'<svg {plot} viewBox="{_LEFT:g} {_TOP:g} {width:g} {tall:g}">',
-            *_content(panel, x_axis, y_axis),
+            f'<g transform="matrix({across:.7g} 0 0 1 {left:.7g} 0)">',
+            *_shades(panel, x_axis, y_axis),
+            "</g>",
+            f'<g class="data" transform="matrix({across:.7g} 0 0 {down:.7g} {left:.7g} {top:.7g})">',
+            *_content(panel, x_axis, y_axis, names),
+            "</g>",
+            *_limit_lines(panel, x_axis, y_axis),
+            *_marks(panel, x_axis, y_axis),
             "</svg>",
-            *_names(panel, x_axis, y_axis),
+            *(() if panel.equal else _names(panel, x_axis, y_axis)),
             f'<rect class="frame" {plot}/>',
             "</svg>",
         ]
@@ -211,10 +258,10 @@ def _panel(panel: Panel, place: str) -> str:
 
 def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
     """Find both axes; on equal ones the shorter span grows until a unit is as long in both directions."""
-    x = np.concatenate([np.empty(0), *(curve.x for curve in panel.curves), *(band.x for band in panel.bands)])
-    edges = [edge for band in panel.bands for edge in (band.low, band.high)]
+    x = np.concatenate([np.empty(0), *(curve.x for curve in panel.curves)])
+    edges = [edge for curve in panel.curves if curve.band is not None for edge in curve.band]
     y = np.concatenate([*(curve.y for curve in panel.curves), *edges, np.array(panel.levels)])
-    x_low, x_high = limits(x, panel.x_scale)
+    x_low, x_high = panel.x_limits or limits(x, panel.x_scale)
     known = x[np.isfinite(x) & (x > 0.0)]
     if panel.x_scale == "log" and len(known) and known.min() < known.max():
         x_low, x_high = float(known.min()), float(known.max())  # with a margin, half of the axis would be empty
@@ -224,7 +271,9 @@ def _axes(panel: Panel, height: float) -> tuple[Axis, Axis]:
         unit = max((x_high - x_low) / (right - _LEFT), (y_high - y_low) / (bottom - _TOP))
         x_low, x_high = _widened(x_low, x_high, unit * (right - _LEFT))
         y_low, y_high = _widened(y_low, y_high, unit * (bottom - _TOP))
-    x_axis = Axis(x_low, x_high, _LEFT, right, panel.x_scale, whole=panel.x_whole)
+    unit = 1.0 if panel.x_scale == "log" else _SECONDS.get(panel.x_label, 1.0)
+    digits = _DIGITS_Y if panel.equal else _DIGITS_X
+    x_axis = Axis(x_low, x_high, _LEFT, right, panel.x_scale, whole=panel.x_whole, unit=unit, digits=digits)
     return x_axis, Axis(y_low, y_high, bottom, _TOP, panel.y_scale)
 
 
@@ -236,9 +285,10 @@ def _widened(low: float, high: float, span: float) -> tuple[float, float]:
 def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     """Draw one path for each style, so that a page of many panels stays small."""
     paths: dict[str, str] = {}
+    pixel = 1.0 / x_axis.transform[0]
     for shade in panel.shades:
-        begin, end = np.clip(x_axis.place(np.array([shade.begin, shade.end])), x_axis.start, x_axis.end)
-        stretch = f"M{begin:.1f} {y_axis.end:.1f}H{max(end, begin + 1.0):.1f}V{y_axis.start:.1f}H{begin:.1f}Z"
+        begin, end = x_axis.counts(np.array([shade.begin, shade.end])).tolist()
+        stretch = f"M{begin:.0f} {y_axis.end:g}H{max(end, begin + pixel):.0f}V{y_axis.start:g}H{begin:.0f}Z"
         paths[shade.style] = paths.get(shade.style, "") + stretch
     yield from (f'<path class="shade {style}" d="{path}"/>' for style, path in paths.items())
 
@@ -246,28 +296,67 @@ def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     """Draw ticks as lines across the panel, with their labels outside."""
     bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
+    yield '<g class="times">'
     for place, label in x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X):
-        yield f'<path class="grid" d="M{place:.1f} {top:.1f}V{bottom:.1f}"/>'
-        yield f'<text class="tick" x="{place:.1f}" y="{bottom + 13:.1f}" text-anchor="middle">{label}</text>'
+        yield f'<path class="grid" d="M{place:.1f} {top:g}V{bottom:g}"/>'
+        yield f'<text class="tick" x="{place:.1f}" y="{bottom + 13:g}" text-anchor="middle">{label}</text>'
+    yield "</g>"
     for place, label in y_axis.ticks(_TICKS_Y):
         yield f'<path class="grid" d="M{left:.1f} {place:.1f}H{right:.1f}"/>'
         yield f'<text class="tick" x="{left - 5:.1f}" y="{place + 3.5:.1f}" text-anchor="end">{label}</text>'
     yield f'<text class="label" x="{right:.1f}" y="{bottom + 29:.1f}" text-anchor="end">{escape(panel.x_label)}</text>'
 
 
-def _content(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
-    columns = COLUMNS * _FEW // max(len(panel.curves), _FEW)
-    for band in panel.bands:
-        yield f'<path class="band {band.style}" d="{_band_path(band, x_axis, y_axis, columns)}"/>'
-    for place in y_axis.place(np.array(panel.levels)):
-        yield f'<path class="line limit" d="M{x_axis.start:.1f} {place:.1f}H{x_axis.end:.1f}"/>'
+def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str]) -> Iterator[str]:
+    """Draw the bands, the first of them filled, and the lines above all of them."""
+    paths = len(panel.curves) + sum(curve.band is not None for curve in panel.curves)
+    columns = COLUMNS * _FEW // max(paths, _FEW)
+    bands: list[str] = []
+    lines: list[str] = []
     for curve in panel.curves:
-        x, y = x_axis.place(curve.x), y_axis.place(curve.y)
+        x, y = x_axis.counts(curve.x), y_axis.counts(curve.y)
+        places = x_axis.place(curve.x), y_axis.place(curve.y)
         if curve.points:
-            path = _points(x, y)
+            rows = _one_of_each_cell(*places)
+            path = "".join(f"M{across:.0f} {down:.0f}h0" for across, down in zip(x[rows], y[rows], strict=True))
         else:
-            path = _line(*(without_standstill(x, y, _PIXEL) if panel.equal else envelope(x, y, columns)))
-        yield f'<path class="{"points" if curve.points else "line"} {curve.style}" d="{path}"/>'
+            rows = without_standstill(*places, _PIXEL) if panel.equal else envelope(x, y, columns)
+            path = _line(x[rows], y[rows])
+        name = curve.name if curve.name is not None else curve.label or _name_of(curve.style, names)
+        at = ""
+        if curve.time is not None:
+            at = f' data-t="{_steps_of_time(curve.time[rows[np.isfinite(x[rows] + y[rows])]])}"'
+        kind = "points" if curve.points else "line"
+        lines.append(f'<path class="{kind} {curve.style}" data-name="{escape(visible(name))}"{at} d="{path}"/>')
+        if curve.band is not None:
+            low, high = (y_axis.counts(edge[rows]) for edge in curve.band)
+            looks = f"edges {curve.style}" if bands else curve.style
+            bands.append(f'<path class="band {looks}" d="{_band_path(x[rows], low, high, closed=not bands)}"/>')
+    yield from bands
+    yield from lines
+
+
+def _name_of(style: str, names: Mapping[str, str]) -> str:
+    return names.get(style, names.get(style.split()[0], ""))
+
+
+def _limit_lines(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    for place in y_axis.place(np.array(panel.levels)):
+        yield f'<path class="line limit" d="M{x_axis.start:g} {place:.1f}H{x_axis.end:g}"/>'
+
+
+def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
+    """Mark start and end of a track: of the reference, else of the curve on top."""
+    if not panel.equal or not panel.curves:
+        return
+    curve = next((curve for curve in panel.curves if curve.style == REFERENCE), panel.curves[-1])
+    known = np.flatnonzero(np.isfinite(curve.x) & np.isfinite(curve.y))
+    if len(known):
+        x, y = x_axis.place(curve.x[known[[0, -1]]]).tolist(), y_axis.place(curve.y[known[[0, -1]]]).tolist()
+        yield f'<circle class="start" cx="{x[0]:.1f}" cy="{y[0]:.1f}" r="4"/>'
+        yield f'<rect class="end" x="{x[1] - 3:.1f}" y="{y[1] - 3:.1f}" width="6" height="6"/>'
+        for name, across, down in (("start", x[0], y[0] - 6.0), ("end", x[1], y[1] + 13.0)):
+            yield f'<text class="name" x="{across + 3:.1f}" y="{down:.1f}">{name}</text>'
 
 
 def _names(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
@@ -289,57 +378,54 @@ def _names(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
         )
 
 
-# --- Paths.
+# --- Paths, in counts.
 
 
-def _band_path(band: Band, x_axis: Axis, y_axis: Axis, columns: int) -> str:
-    known = np.isfinite(band.low) & np.isfinite(band.high)
+def _band_path(x: Floats, low: Floats, high: Floats, *, closed: bool) -> str:
+    """Write the upper edge from left to right, then the lower one back; closed, they can be filled."""
+    known = np.isfinite(low) & np.isfinite(high)
     if not known.any():
         return ""
-    x, low, high = band_envelope(band.x[known], band.low[known], band.high[known], columns)
-    there = _line(x_axis.place(x), y_axis.place(high))
-    back = _line(x_axis.place(x)[::-1], y_axis.place(low)[::-1])
-    return f"{there}L{back[1:]}Z"
+    if closed:
+        there_and_back = np.append(x[known], x[known][::-1]), np.append(high[known], low[known][::-1])
+        return f"{_line(*there_and_back)}Z"
+    return _line(x[known], high[known]) + _line(x[known][::-1], low[known][::-1])
 
 
 def _line(x: Floats, y: Floats) -> str:
-    """Write a line in tenths of a pixel, each step from the place before; it is interrupted where a place is missing.
+    """Write a line, each step from the place before; it is interrupted where a place is missing.
 
     Steps take half the characters that places do, and on a page they are most of all.
     """
     known = ~(np.isnan(x) | np.isnan(y))
-    tenths = np.rint(10.0 * np.clip(np.column_stack([x, y])[known], -_FAR, _FAR)).astype(np.int64)
+    counts = np.column_stack([x, y])[known].astype(np.int64)
     begins = np.diff(np.flatnonzero(known), prepend=-2) > 1
-    steps = np.diff(tenths, axis=0, prepend=0)
+    steps = np.diff(counts, axis=0, prepend=0)
     words, drawing = [], False
-    for (across, down), (right, below), begin in zip(tenths.tolist(), steps.tolist(), begins.tolist(), strict=True):
+    for (across, down), (right, below), begin in zip(counts.tolist(), steps.tolist(), begins.tolist(), strict=True):
         if begin:
-            words.append(f"M{_tenths(across)}{_behind(down)}")
-        elif not drawing:
-            words.append(f"l{_tenths(right)}{_behind(below)}")
-        elif right or below:
-            words.append(f"{_behind(right)}{_behind(below)}")
+            words.append(f"M{across}{_behind(down)}")
+        else:
+            words.append(f"{_behind(right) if drawing else f'l{right}'}{_behind(below)}")
         drawing = not begin
     return "".join(words)
 
 
-def _tenths(number: int) -> str:
-    """Write a number of tenths in as few characters as there are: ``-.3``, ``12``, ``4.5``."""
-    whole, rest = divmod(abs(number), 10)
-    text = f"{whole or ''}.{rest}" if rest else f"{whole}"
-    return f"-{text}" if number < 0 else text
-
-
 def _behind(number: int) -> str:
     """Write a number after another: a minus separates them, too."""
-    return _tenths(number) if number < 0 else f" {_tenths(number)}"
+    return f"{number}" if number < 0 else f" {number}"
 
 
-def _points(x: Floats, y: Floats) -> str:
-    """Write each occupied cell of a coarse grid as one point, a line of no length."""
-    known = np.isfinite(x) & np.isfinite(y)
-    cells = np.unique(np.round(np.column_stack([x[known], y[known]]) / _POINT), axis=0) * _POINT
-    return "".join(f"M{across:.1f} {down:.1f}h0" for across, down in cells.tolist())
+def _steps_of_time(time_s: Floats) -> str:
+    """Write times as steps of a hundredth of a second."""
+    return " ".join(map(str, np.diff(np.rint(100.0 * time_s).astype(np.int64), prepend=0).tolist()))
+
+
+def _one_of_each_cell(x: Floats, y: Floats) -> NDArray[np.int64]:
+    """Return the first row in each occupied cell of a coarse grid."""
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    cells = np.round(np.column_stack([x[known], y[known]]) / _POINT)
+    return known[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
 # --- A picture of a figure, as a file of its own.
@@ -357,7 +443,7 @@ def sheet_svg(figure: Figure) -> bytes:
         row = figure.panels[first : first + PANELS_IN_A_ROW]
         for column, panel in enumerate(row):
             place = f'x="{column * WIDTH:g}" y="{top:g}" width="{WIDTH:g}" height="{_height(panel):g}"'
-            panels.append(_panel(panel, place))
+            panels.append(_panel(panel, place, {}))
         top += max(map(_height, row))
     width = WIDTH * min(PANELS_IN_A_ROW, len(figure.panels))
     entries = int(width // _ENTRY)

@@ -315,7 +315,7 @@ def nees_figure(title: str, nees: pd.DataFrame) -> Figure:
         curves.append(Curve(rows["time_s"].to_numpy(), rows["mean_nees"].to_numpy(), filter_style(number)))
         legend.append((filter_style(number), str(name)))
     far_above = nees["mean_nees"].max() > FAR_ABOVE * high
-    panel = Panel("mean NEES", "time [s]", tuple(curves), (), (low, high), "log" if far_above else "linear")
+    panel = Panel("mean NEES", "time [s]", tuple(curves), (low, high), "log" if far_above else "linear")
     caption = "Dashed lines: 95 % interval of a consistent filter."
     return Figure(title, caption, (panel,), (*legend, (LIMIT, "95 % interval")))
 

@@ -51,7 +51,8 @@ def test_outage_is_drawn_over_time_and_by_window_and_says_what_it_is_blind_to() 
     (figure,) = outage_figure({"baseline": curve, "aided": curve}, Clock(0, 400 * S))
     assert "over 2 windows" in figure.caption
     drift, windows = figure.panels
-    assert [band.style for band in drift.bands] == ["filter0", "filter1"]
-    assert (drift.bands[0].low.tolist(), drift.bands[0].high.tolist()) == ([0.0] * 3, [0.0, 2.0, 5.0])
+    drawn = {curve.style: curve.y.tolist() for curve in drift.curves}
+    assert drawn == {f"filter{n}{more}": y for n in (0, 1) for more, y in (("", [0, 1, 2]), (" sigma", [0, 2, 5]))}
+    assert drift.y_scale == windows.y_scale == "log"
     assert (windows.curves[0].x.tolist(), windows.curves[0].y.tolist()) == ([100.0, 130.0], [2.0, 5.0])
     assert list(outage_figure({}, Clock(0, S))) == []

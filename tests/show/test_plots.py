@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from insdvl_replay.core.result import Band, Curve, Panel, filter_style
-from insdvl_replay.show.plot import Axis, band_envelope, envelope, limits, panel_svg, without_standstill
+from insdvl_replay.core.result import Curve, Panel, filter_style
+from insdvl_replay.show.plot import Axis, envelope, limits, panel_svg, without_standstill
 
 NAN = float("nan")
 SVG = "{http://www.w3.org/2000/svg}"
@@ -33,10 +33,12 @@ def places(path: str) -> np.ndarray:
 
 
 def lines(panel: Panel) -> list[np.ndarray]:
-    """Places of each line's points."""
+    """Places of each line's points on the paper."""
+    (group,) = (element for element in drawn(panel).iter(f"{SVG}g") if element.get("class") == "data")
+    across, _, _, down, left, top = map(float, re.findall(r"[-+.e\d]+", group.get("transform", "")))
     return [
-        places(path.get("d", ""))
-        for path in drawn(panel).iter(f"{SVG}path")
+        places(path.get("d", "")) * (across, down) + (left, top)
+        for path in group
         if path.get("class") in {"line filter0", "line filter1", "points rejected"}
     ]
 
@@ -45,11 +47,11 @@ def test_every_peak_of_a_long_series_survives() -> None:
     x = np.arange(100_000.0)
     y = np.random.default_rng(5).normal(size=len(x))
     y[[17, 50_001, 99_999]] = [50.0, -60.0, 70.0]
-    short_x, short_y = envelope(x, y)
-    assert len(short_x) <= 300
-    assert (np.diff(short_x) > 0.0).all()
+    rows = envelope(x, y)
+    short_x, short_y = x[rows], y[rows]
+    assert len(rows) <= 300
+    assert (np.diff(rows) > 0).all()
     assert {50.0, -60.0, 70.0} <= set(short_y)
-    np.testing.assert_array_equal(y[short_x.astype(int)], short_y)
     for first in range(0, 100_000, 1000):
         part = y[first : first + 1000]
         near = short_y[(short_x >= first - 667) & (short_x < first + 1667)]
@@ -67,25 +69,21 @@ def test_steps_of_a_line_lead_to_its_places() -> None:
         if one.get("class") == "line filter0"
     ]
     assert path.count("M") == path.count("l") == 2
-    for values, pixels in zip((east, north), places(path).T, strict=True):
-        known = np.delete(values, missing)
-        scale, offset = np.polyfit(known, pixels, 1)
-        np.testing.assert_allclose(pixels, scale * known + offset, atol=0.06)
+    np.testing.assert_array_equal(places(path), np.rint(1e3 * np.delete([east, north], missing, axis=1).T))
 
 
 def test_what_is_missing_for_long_interrupts_a_line() -> None:
     x, y = np.arange(3000.0), np.sin(np.arange(3000.0))
     y[1000:2000] = NAN
-    _, short = envelope(x, y)
+    short = y[envelope(x, y)]
     assert np.isnan(short).any()
     assert np.isfinite(short[[0, -1]]).all()
-    assert np.isnan(envelope(x, np.full(3000, NAN))[1]).all()
+    assert len(envelope(x, np.full(3000, NAN))) == 150
 
 
 def test_short_series_are_left_alone() -> None:
     x = np.arange(300.0)
-    np.testing.assert_array_equal(envelope(x, x**2)[1], x**2)
-    np.testing.assert_array_equal(band_envelope(x[:150], -x[:150], x[:150])[2], x[:150])
+    np.testing.assert_array_equal(envelope(x, x**2), x)
 
 
 @pytest.mark.parametrize(("curves", "most"), [(1, 300), (4, 300), (24, 50)])
@@ -96,20 +94,56 @@ def test_many_curves_share_the_points_of_a_few(curves: int, most: int) -> None:
     assert all(most / 2 < len(line) <= most for line in found)
 
 
-def test_a_long_band_holds_every_value_between() -> None:
-    x = np.arange(10_000.0)
-    high = np.random.default_rng(6).uniform(1.0, 2.0, len(x))
-    short_x, low, top = band_envelope(x, -high, high)
-    assert len(short_x) <= 151
-    assert top.max() == high.max()
-    assert low.min() == -high.max()
-    assert (np.interp(x, short_x, top) > 1.0).all()
+def test_values_are_read_back_to_the_printed_digits_with_their_band() -> None:
+    """As `cursor.js` reads them, in seconds although the axis is in minutes."""
+    rng, time_s = np.random.default_rng(6), np.arange(3600.0) + 0.1234
+    for size in (1e-7, 0.37, 8.0, 1.3e5):
+        y, sd = size * rng.normal(size=3600), size * rng.uniform(1.0, 2.0, 3600)
+        curve = Curve(time_s / 60.0, y, "filter0", band=(-3.0 * sd, 3.0 * sd))
+        svg = drawn(Panel("", "time [min]", (curve,)))
+        decimals, unit = svg.get("data-x", "").split()
+        assert (decimals, unit) == ("1", "60")
+        scale = 10.0 ** int(svg.get("data-y", "").split()[0])
+        found = {path.get("class"): places(path.get("d", "")) for path in svg.iter(f"{SVG}path") if path.get("d")}
+        line, band = found["line filter0"], found["band filter0"]
+        rows = np.rint(line[:, 0] / 10.0 - 0.1234).astype(int)
+        assert len(rows) > 200
+        np.testing.assert_array_equal(line[:, 1], np.rint(y[rows] * scale))
+        there, back = np.split(band, 2)
+        np.testing.assert_array_equal(there, np.column_stack([line[:, 0], np.rint(3.0 * sd[rows] * scale)]))
+        np.testing.assert_array_equal(back[::-1], there * (1.0, -1.0))
+
+
+def test_a_logarithmic_axis_keeps_three_digits() -> None:
+    y = 10.0 ** np.random.default_rng(7).uniform(-6.0, 6.0, 250)
+    svg = drawn(Panel("", "", (Curve(np.arange(250.0), y, "filter0"),), y_scale="log"))
+    (path,) = (path for path in svg.iter(f"{SVG}path") if path.get("class") == "line filter0")
+    read = [f"{10.0 ** (count / 5000.0):.2e}" for count in places(path.get("d", ""))[:, 1]]
+    assert read == [f"{value:.2e}" for value in y]
+
+
+def test_one_band_is_filled_and_the_others_are_lines() -> None:
+    x = np.arange(3.0)
+    curves = tuple(Curve(x, x, filter_style(number), band=(x - 1.0, x + 1.0)) for number in range(4))
+    bands = [path for path in drawn(Panel("", "", curves)).iter(f"{SVG}path") if "band" in path.get("class", "")]
+    assert [path.get("class") for path in bands] == ["band filter0", *(f"band edges filter{n}" for n in (1, 2, 3))]
+    assert [path.get("d", "").endswith("Z") for path in bands] == [True, False, False, False]
+
+
+def test_a_track_has_times_and_marks_of_its_start_and_end() -> None:
+    x, y = np.array([0.0, NAN, 30.0, 30.0]), np.array([0.0, 5.0, 0.0, 40.0])
+    curve = Curve(x, y, "reference", label="reference", time=np.array([0.0, 1.0, 2.5, 4.25]))
+    svg = drawn(Panel("", "", (curve,), equal=True))
+    (line,) = (path for path in svg.iter(f"{SVG}path") if path.get("class") == "line reference")
+    assert line.get("data-t") == "0 250 175"
+    assert [text.text for text in svg.iter(f"{SVG}text") if text.get("class") == "name"] == ["start", "end"]
 
 
 def test_a_track_keeps_its_shape_and_loses_its_standstill() -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 5000)
     x, y = (np.concatenate([f(angle), np.repeat(f(angle[-1:]), 50_000)]) for f in (np.cos, np.sin))
-    short_x, short_y = without_standstill(x, y, 0.01)
+    rows = without_standstill(x, y, 0.01)
+    short_x, short_y = x[rows], y[rows]
     assert len(short_x) < 1000
     np.testing.assert_allclose(np.hypot(short_x, short_y), 1.0, atol=1e-12)
     assert np.hypot(np.diff(short_x), np.diff(short_y)).max() < 0.03
@@ -178,9 +212,8 @@ def test_a_unit_is_as_long_on_both_axes_of_a_track() -> None:
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_any_values_make_a_picture_without_words_for_missing_numbers(values: list[float], scale: str) -> None:
     x, y = np.arange(float(len(values))), np.array(values)
-    curves = (Curve(x, y, "filter0"), Curve(x, y, "rejected", points=True))
-    bands = (Band(x, y, y, "filter1"),)
-    text = panel_svg(Panel("title <&>", "x", curves, bands, (0.5,), scale, equal=scale == "linear"))  # type: ignore[arg-type]
+    curves = (Curve(x, y, "filter0", band=(y, y), time=x), Curve(x, y, "rejected", points=True))
+    text = panel_svg(Panel("title <&>", "x", curves, (0.5,), scale, equal=scale == "linear"))  # type: ignore[arg-type]
     ET.fromstring(text)
     for path in re.findall(r' d="([^"]*)"', text):
         assert re.fullmatch(r"(?:[MLlHVZh]|-?(?:\d+(?:\.\d+)?|\.\d+)| )*", path)
