@@ -69,12 +69,14 @@ SHARED: Final = "The reference shares sensors with the filters, so common errors
 AGAINST: Final = {
     Verdict.BETTER: "is BETTER than",
     Verdict.WORSE: "is WORSE than",
-    Verdict.MIXED: "is partly better, partly WORSE than",
+    Verdict.MIXED: "is MIXED (better in some quantities, worse in others) against",
     Verdict.EQUIVALENT: "is equivalent to",
     Verdict.UNDECIDED: "is undecided against",
 }
+TOO_LARGE: Final = "innovations far too large"
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
+FEWEST_SHOWN: Final = 3  # The interval of fewer effective samples, or dives, is stored but not shown.
 
 Piece = EvidenceRow | PooledRow  # one evidence row, of one dive or of several
 P = TypeVar("P", bound=Piece)
@@ -161,7 +163,7 @@ def not_evaluated(
 def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
     """Replace the verdict *better* by *undecided*, for a filter whose innovations are far too large."""
     return [
-        replace(row, verdict=EvidenceVerdict.UNDECIDED) if row.verdict == EvidenceVerdict.BETTER else row
+        replace(row, verdict=EvidenceVerdict.UNDECIDED, why=TOO_LARGE) if row.verdict == EvidenceVerdict.BETTER else row
         for row in rows
     ]
 
@@ -339,27 +341,35 @@ def _prediction(
     predicted = f". Predicted: {abs(predicted_pct):.1f} % {size} sigma"
     if predicted_pct < 0.0:
         return Prediction.UNDECIDED, predicted
+    prediction = prediction_of(predicted_pct, evidence, _most_starts(evidence))
+    return prediction, f"{predicted}. {on_prediction(prediction, evidence, has_reference=has_reference)}"
 
-    prediction, accuracy = Prediction.UNDECIDED, [row for row in evidence if row.evidence == "accuracy"]
-    measured = [row for row in accuracy if row.ratio is not None]
-    if measured and max(row.starts for row in measured) >= FEWEST_STARTS:
+
+def _most_starts(evidence: Iterable[EvidenceRow]) -> int:
+    return max((row.starts for row in evidence if row.evidence == "accuracy" and row.ratio is not None), default=0)
+
+
+def prediction_of(predicted_pct: float, evidence: Iterable[Piece], starts: int) -> Prediction:
+    """Return whether at least half of a predicted improvement was measured, by the medians of the intervals' ends."""
+    measured = [row for row in evidence if row.evidence == "accuracy" and row.ratio is not None]
+    if measured and starts >= FEWEST_STARTS and predicted_pct >= NOTABLE_PCT:
         least_pct, most_pct = (
             100.0 * (1.0 - float(np.median([finite(end) for end in ends])))
             for ends in ([row.high for row in measured], [row.low for row in measured])
         )
         if least_pct >= CONFIRMED * predicted_pct:
-            prediction = Prediction.CONFIRMED
-        elif most_pct < CONFIRMED * predicted_pct:
-            prediction = Prediction.NOT_CONFIRMED
-    return prediction, f"{predicted}. {on_prediction(prediction, evidence, has_reference=has_reference)}"
+            return Prediction.CONFIRMED
+        if most_pct < CONFIRMED * predicted_pct:
+            return Prediction.NOT_CONFIRMED
+    return Prediction.UNDECIDED
 
 
-def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_reference: bool) -> str:
+def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_reference: bool, dives: int = 1) -> str:
     """Say whether a predicted improvement is confirmed, and why not."""
     if prediction == Prediction.CONFIRMED:
         return "Confirmed"
     starts = [row.starts for row in evidence if row.evidence == "accuracy"]
-    reason = "the measured interval is too wide to tell"
+    reason = "one dive is too short" if dives == 1 else "the measured interval is too wide to tell"
     if prediction == Prediction.NOT_CONFIRMED:
         reason = "less than half of it was measured"
     elif not has_reference:
@@ -368,6 +378,8 @@ def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_refer
         reason = "no accuracy was measured"
     elif max(starts) < FEWEST_STARTS:
         reason = f"this takes {FEWEST_STARTS} drawn starts (--starts 16)"
+    elif 1 < dives < FEWEST_DIVES:
+        reason = f"this takes {FEWEST_DIVES} dives"
     return f"Not confirmed: {reason}"
 
 
@@ -378,9 +390,9 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
         piece = changed(row.quantity, finite(row.ratio))
         if np.isfinite(finite(row.ratio)):
             values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
-            interval, why = interval_in_words(row.ratio, row.low, row.high), f"; {row.why}" if row.why else ""
+            why = f"; {row.why}" if row.why else ""
             drawn = f" over {row.starts} drawn starts" if row.evidence == "accuracy" and row.starts > 1 else ""
-            piece = f"{piece}{drawn} (this dive: {values}; 95 % interval on this dive: {interval}{why})"
+            piece = f"{piece}{drawn} (this dive: {values}{interval_in_words(row, 'on this dive')}{why})"
         pieces.append(piece)
     left = left_undecided(verdict, evidence)
     undecided = [row for row in evidence if row.quantity in DECIDING and not row.why]
@@ -435,12 +447,21 @@ def changed(quantity: str, ratio: float) -> str:
     return f"{label(quantity)} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
 
 
-def interval_in_words(ratio: Number, low: Number, high: Number) -> str:
-    """Write the interval of a ratio, in percent or, as the ratio itself, in times."""
-    if finite(ratio) >= MANY_TIMES:
-        return f"{finite(low):.3g} to {finite(high):.3g} times"
-    low_pct, high_pct = (100.0 * (finite(end) - 1.0) for end in (low, high))
-    return f"{low_pct:+z.1f} to {high_pct:+z.1f} %"
+def shown_interval(row: Piece) -> tuple[Number, Number]:
+    """Return the ends of the interval of a row; None with fewer than three effective samples, or dives."""
+    samples = row.dives if isinstance(row, PooledRow) else finite(row.effective_samples)
+    return (None, None) if row.ratio is None or samples < FEWEST_SHOWN else (row.low, row.high)
+
+
+def interval_in_words(row: Piece, where: str) -> str:
+    """Write the interval of a row, if it is shown, in percent or, as the ratio itself, in times."""
+    low, high = map(finite, shown_interval(row))
+    if not np.isfinite(high - low):
+        return ""
+    ends = f"{100.0 * (low - 1.0):+z.1f} to {100.0 * (high - 1.0):+z.1f} %"
+    if finite(row.ratio) >= MANY_TIMES:
+        ends = f"{low:.3g} to {high:.3g} times"
+    return f"; 95 % interval {where}: {ends}"
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
@@ -529,6 +550,9 @@ class PooledCandidate:
     rows: tuple[PooledRow, ...]  # the row that decides first in front
     dives: int  # that have the candidate
     evaluated: int  # in which it is evaluated
+    predicted_pct: float  # how much smaller its predicted sigma is, median over the dives; NaN if unknown
+    prediction: Prediction
+    confirmation: str  # whether the prediction is confirmed, and why not; empty if it is too small to be checked
 
     @property
     def verdict(self) -> Verdict:
@@ -543,9 +567,17 @@ def pooled_candidate(
     baseline: str,
     evidence: Sequence[Sequence[EvidenceRow]],  # of each dive in which it is evaluated
     dives: int,
+    predicted_pct: Iterable[Number] = (),  # of each of these dives
 ) -> PooledCandidate:
-    """Pool the evidence on one candidate."""
-    return PooledCandidate(name, baseline, tuple(pooled_evidence(name, evidence)), dives, len(evidence))
+    """Pool the evidence on one candidate; its prediction is checked by the rule for one dive, with the pooled rows."""
+    rows, pct = tuple(pooled_evidence(name, evidence)), _median(map(finite, predicted_pct))
+    every_row = [row for dive in evidence for row in dive]
+    enough = [row for row in rows if row.dives >= FEWEST_DIVES]
+    prediction = prediction_of(pct, enough, _most_starts(every_row))
+    confirmation = ""
+    if pct >= NOTABLE_PCT:
+        confirmation = on_prediction(prediction, every_row, has_reference=True, dives=len(evidence))
+    return PooledCandidate(name, baseline, rows, dives, len(evidence), pct, prediction, confirmation)
 
 
 def pooled_sentence(pooled: PooledCandidate) -> str:
@@ -554,12 +586,11 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
     if verdict == Verdict.NOT_EVALUATED:
         found = f"it is evaluated in only {dives}. Settle the others first"
         return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."
-    spoken = spoken_of(verdict, pooled.rows, DECIDING_TOGETHER)
+    spoken = [row for row in spoken_of(verdict, pooled.rows, DECIDING_TOGETHER) if row.dives]
     pieces = [
-        f"{changed(row.quantity, finite(row.ratio))} (95 % interval over dives: "
-        f"{interval_in_words(row.ratio, row.low, row.high)}; "
-        f"{'sooner' if row.evidence == 'convergence' else 'smaller'} in {row.dives_won} of {row.dives} dives, "
-        f"p = {finite(row.p):.2g})"
+        f"{changed(row.quantity, finite(row.ratio))} "
+        f"({'sooner' if row.evidence == 'convergence' else 'smaller'} in {row.dives_won} of {row.dives} dives, "
+        f"p = {finite(row.p):.2g}{interval_in_words(row, 'over dives')})"
         for row in spoken
     ]
     if spoken and verdict == Verdict.UNDECIDED:

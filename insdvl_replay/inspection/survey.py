@@ -24,7 +24,6 @@ from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
-_IDLE: Final = "sensors_idle"
 
 
 def inspect_log(
@@ -59,11 +58,8 @@ def inspect_log(
         sensors = "; ".join(f"{name} on {' or '.join(topics)}" for name, topics in idle.items())
         aiding = ", ".join(f'"{word}"' for word in ("velocity", *idle))
         held_out = ", ".join(f'"{word}"' for word in idle)
-        hint = (
-            f"to use {them}: --set 'filters.with_sensors.aiding=[{aiding}]'; to judge by {them}: "
-            f"--set 'evaluation.held_out=[{held_out}]'"
-        )
-        notes.append(Note(_IDLE, f"unused {kind}: {sensors}", len(idle), hint=hint))
+        hint = f"to use {them}: aiding = [{aiding}]; to judge by {them}: evaluation.held_out = [{held_out}]"
+        notes.append(Note("sensors_unused", f"unused {kind}: {sensors}", len(idle), hint=hint))
     inventory = Inventory(
         log=facts,
         reading=Reading.WHOLE if deep else Reading.SAMPLE,
@@ -107,7 +103,7 @@ def inspect_log(
         from insdvl_replay.preparation.run import prepare_with_heading
 
         dive = read_checked_dive(path, config, allow_damaged=allow_damaged)
-        unused = (note for note in inventory.notes if note.code == _IDLE)
+        unused = (note for note in inventory.notes if note.code == "sensors_unused")
         prepared = prepare_with_heading(with_reference_at_imu(dive, config), config)
         return replace(inventory, notes=(*dive.notes, *prepared.notes, *unused))
     except UserError as error:

@@ -40,10 +40,21 @@ from insdvl_replay.core.result import (
     Title,
     flattened,
 )
-from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, each_table, finite
+from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, PooledRow, each_table, finite
 from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
+from insdvl_replay.evaluation.evidence import SOONER
 from insdvl_replay.evaluation.notes import is_noise_far_off
-from insdvl_replay.evaluation.verdicts import NOTABLE_PCT, on_prediction, spoken_of, trust_sentence
+from insdvl_replay.evaluation.series import FEWEST_EFFECTIVE, LARGEST_P, MARGIN
+from insdvl_replay.evaluation.verdicts import (
+    FEWEST_SHOWN,
+    NOTABLE_PCT,
+    P,
+    Piece,
+    on_prediction,
+    shown_interval,
+    spoken_of,
+    trust_sentence,
+)
 from insdvl_replay.show.document import (
     MISSING,
     TENFOLD,
@@ -81,6 +92,7 @@ TONES: Final[dict[str, str]] = {
 """The colours of verdicts."""
 LOUD: Final = (Verdict.BETTER, Verdict.WORSE, Verdict.MIXED, Verdict.NOT_EVALUATED)
 """Verdicts that are written in capitals."""
+DECIDED: Final = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
 
 
 class _FilterRow(Protocol):
@@ -111,14 +123,43 @@ def ratio_text(value: Number) -> str:
     return decimal(value, 2) if abs(finite(value)) < TENFOLD else significant(value, 3)
 
 
-def interval_text(low: Number, high: Number) -> str:
-    """Write the interval of a ratio."""
+def interval_text(row: Piece) -> str:
+    """Write the interval of a row, where it is shown."""
+    low, high = shown_interval(row)
     return MISSING if low is None or high is None else f"{ratio_text(low)} .. {ratio_text(high)}"
 
 
-def verdict_in_table(row: EvidenceRow) -> str:
+def verdict_in_table(row: Piece) -> str:
     """Return the verdict of an evidence row, in brackets if it has no vote."""
-    return row.verdict if row.quantity in DECIDING or not row.verdict else f"({row.verdict})"
+    deciding = DECIDING_TOGETHER if isinstance(row, PooledRow) else DECIDING
+    return row.verdict if row.quantity in deciding or not row.verdict else f"({row.verdict})"
+
+
+def reason_in_words(row: Piece) -> str:
+    """Say why a row has no interval, or is neither better nor worse although its interval excludes 1; else empty."""
+    if row.ratio is None or row.evidence == CONSISTENT or row.verdict in ("", *DECIDED):
+        return ""
+    is_pooled, is_time, (low, high) = isinstance(row, PooledRow), row.evidence == "convergence", shown_interval(row)
+    if isinstance(row, EvidenceRow) and row.why:
+        return row.why
+    if low is None or high is None:
+        return f"fewer than {FEWEST_SHOWN} {'dives' if is_pooled else 'effective samples'}"
+    if low <= 1.0 <= high:
+        return ""
+    change = ("sooner" if is_time else "smaller") if row.ratio < 1.0 else "later" if is_time else "larger"
+    for margin in (MARGIN, SOONER) if is_time and not is_pooled else (MARGIN,):
+        if 1.0 / (1.0 + margin) < row.ratio < 1.0 + margin:
+            return f"{change}, but less than {100.0 * margin:.0f} %"
+    if not finite(row.p) < LARGEST_P:
+        return f"{change}, but maybe less than {100.0 * MARGIN:.0f} %"
+    return "never settled on some dive" if is_pooled else f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
+
+
+def as_shown(row: P) -> P:
+    """Return an evidence row as tables show it: its interval if it is shown, verdict and reason in words."""
+    low, high = shown_interval(row)
+    why = {} if isinstance(row, PooledRow) else {"why": reason_in_words(row)}
+    return replace(row, low=low, high=high, verdict=verdict_in_table(row), **why)
 
 
 # --- Tables.
@@ -195,7 +236,7 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
     for layout, rows in each_table(report.tables):
         kept: list[Any] = list(filter(_SHOWN_ROWS.get(layout.name), rows))
         if layout.name == "evidence":
-            kept = [replace(row, verdict=verdict_in_table(row)) for row in kept]
+            kept = [as_shown(row) for row in kept]
         elif layout.name == "drift":
             quantities = list(dict.fromkeys(row.quantity for row in kept))
             kept.sort(key=lambda row: quantities.index(row.quantity))
@@ -570,7 +611,7 @@ def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
             (baseline, "r", "baseline:value"),
             (name, "r", "value:value"),
             ("ratio", "r", lambda row: ratio_text(row.ratio)),
-            ("on this dive", "r", lambda row: MISSING if row.ratio is None else interval_text(row.low, row.high)),
+            ("on this dive", "r", interval_text),
             ("n", "r", "effective_samples:0"),
             ("p", "r", lambda row: decimal(row.p, 3).removeprefix("0")),
             ("", "l", verdict_in_table),
@@ -614,12 +655,11 @@ def _prediction_line(
 def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
     """Choose evidence rows: those that decided, the first of each kind, held-out sensors, then others."""
     known = [row for row in rows if row.baseline is not None or row.value is not None]
-    decided = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
     first = {row.evidence: row.quantity for row in reversed(known)}
 
     def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
         return (
-            not (row.quantity in DECIDING and row.verdict in decided),
+            not (row.quantity in DECIDING and row.verdict in DECIDED),
             row.quantity not in (first[row.evidence], *HELD_OUT_QUANTITIES),
             row.quantity not in _CHOSEN,
             row.quantity not in DECIDING_TOGETHER,
@@ -637,7 +677,7 @@ def _many(report: Report) -> list[Part]:
         if verdict != Verdict.NOT_EVALUATED:
             predicted = (percent(candidate.mean_improvement_pct), candidate.prediction)
             for row in list(spoken_of(verdict, _of(name, report.tables.evidence)))[:1]:
-                cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high))
+                cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row))
         rows.append((name, shouted(verdict), *cells, *predicted))
     header = ("filter", f"against {report.baseline}", "evidence", "ratio", "on this dive", "predicted", "")
     return [Sentences(()), DisplayTable("", header, "lllrrrl", tuple(rows), spare=(4, 5, 6, 2))]

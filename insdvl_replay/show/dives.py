@@ -17,6 +17,7 @@ from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate,
 from insdvl_replay.show.dive import (
     MEANS,
     TONES,
+    as_shown,
     gain_cells,
     has_reference,
     interval_text,
@@ -57,7 +58,8 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
         rows = [[row for row in report.tables.evidence if row.filter == name] for report in evaluated]
         baselines = " or ".join(sorted({report.baseline for report in having}))
         if len(having) > 1:
-            found.append(pooled_candidate(name, baselines, rows, len(having)))
+            predicted_pct = [report.filters[name].mean_improvement_pct for report in evaluated]
+            found.append(pooled_candidate(name, baselines, rows, len(having), predicted_pct))
     return found
 
 
@@ -95,7 +97,7 @@ def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
         if found.verdict != Verdict.NOT_EVALUATED and spoken:
             row = spoken[0]
             won, p = f"{row.dives_won}/{row.dives}", f"{finite(row.p):.2g}"
-            cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row.low, row.high), won, p)
+            cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row), won, p)
         rows.append((found.name, shouted(found.verdict), *cells))
     if pooled:
         baselines = " or ".join(dict.fromkeys(found.baseline for found in pooled))
@@ -129,7 +131,7 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
             texts = [MISSING] * 4
             if (row := found.get(name)) is not None:
                 values = (significant(row.baseline, 3), significant(row.value, 3))
-                texts = [*values, ratio_text(row.ratio), interval_text(row.low, row.high)]
+                texts = [*values, ratio_text(row.ratio), interval_text(row)]
             candidate = outcome.filters.get(name)
             cells += texts if len(names) == 1 else texts[2:3]
             cells.append(shouted(candidate.verdict) if candidate else MISSING)
@@ -280,4 +282,4 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         links=tuple(links),
     )
     for pooled in pooled_candidates(outcomes):
-        yield shown(PooledRow, pooled.rows, filter=pooled.name, baseline=pooled.baseline)
+        yield shown(PooledRow, map(as_shown, pooled.rows), filter=pooled.name, baseline=pooled.baseline)

@@ -244,7 +244,7 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
     """Yield a sentence on the consistency of each filter, and on the improvement of each candidate."""
     row: Any
     for row in tables["verdicts"].itertuples():
-        sentence = f"{row.filter} is {row.verdict}" + (f" ({row.why} of the expected value)" if row.why else "")
+        sentence = f"{row.filter} is {row.verdict}" + (f" ({row.why})" if row.why else "")
         if row.verdict == Consistency.INSUFFICIENT:
             sentence = f"{row.filter}: too few runs for a verdict"
         yield (

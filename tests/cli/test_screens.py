@@ -175,7 +175,10 @@ def test_three_dives_that_agree_decide_over_dives(dives: int, words: str) -> Non
     assert f"{dives}/{dives}" in pooled
     assert words in pooled
     candidate = pooled_candidate("aided", "baseline", [report.tables.evidence for report in reports], dives)
-    assert re.search(rf"-20\.0 .*-20\.0 %.*\b{dives} of {dives} dives", pooled_sentence(candidate))
+    sentence = pooled_sentence(candidate)
+    assert f"smaller in {dives} of {dives} dives" in sentence
+    assert ("95 % interval" in sentence) == (dives == 3), "two dives have no interval that says anything"
+    assert "nan" not in sentence
 
 
 def test_above_twenty_dives_only_the_failed_and_the_worst_have_rows() -> None:

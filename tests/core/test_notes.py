@@ -124,7 +124,7 @@ def test_collection_finds_codes_of_every_kind() -> None:
     made = made_codes()
     assert {"imu_slow", "gaps", "*_wrong_stamps", "start_*_far", "noise_far_off"} <= made
     assert len(made) > 100
-    assert {"log_damaged", "sensors_idle"} <= stored_codes()
+    assert {"log_damaged", "sensors_unused"} <= stored_codes()
 
 
 def test_every_code_is_explained() -> None:

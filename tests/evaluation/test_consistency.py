@@ -13,6 +13,7 @@ from scipy import stats
 
 from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.consistency import (
     FEWEST_UPDATES,
     SMALL_EXCESS,
@@ -90,14 +91,14 @@ def test_verdict_asks_for_size_next_to_significance(mean: float, word: str) -> N
 
 
 @pytest.mark.parametrize(
-    ("mean_nis", "why"), [(3.0, ""), (3.25, "within 10 %"), (2.75, "within 10 %"), (3.5, ""), (2.5, ""), (np.nan, "")]
+    ("mean_nis", "why"), [(3.0, ""), (3.25, Reason.NEAR), (2.75, Reason.NEAR), (3.5, ""), (2.5, ""), (np.nan, "")]
 )
 def test_consistent_is_not_said_outside_the_interval_without_the_reason(mean_nis: float, why: str) -> None:
     row = judged(np.full(1000, mean_nis))
     outside = not row["low"] <= mean_nis <= row["high"]
     assert row["why"] == why
     assert (row["verdict"] == "consistent" and outside) == bool(why)
-    assert f"within {SMALL_EXCESS:.0%}".replace("%", " %") == "within 10 %"
+    assert f"within {SMALL_EXCESS:.0%}".replace("%", " %") in Reason.NEAR
 
 
 @pytest.mark.parametrize(

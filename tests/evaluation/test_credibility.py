@@ -15,6 +15,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
+from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.consistency import mean_interval, probability_beyond_3_sd
 from insdvl_replay.evaluation.credibility import (
     FAR_SMALLER,
@@ -247,7 +248,7 @@ def test_groups_show_what_all_states_together_hide() -> None:
 
 @pytest.mark.parametrize(
     ("factor", "why"),
-    [(1.0, ""), (0.97, "within 10 %"), (1.04, "within 10 %"), (0.8, "as from an exact start"), (0.2, ""), (1.2, "")],
+    [(1.0, ""), (0.97, Reason.NEAR), (1.04, Reason.NEAR), (0.8, Reason.EXACT_START), (0.2, ""), (1.2, "")],
 )
 def test_consistent_is_not_said_outside_the_interval_without_the_reason(factor: float, why: str) -> None:
     row = judged(drawn(factor)).loc["all"]
@@ -261,7 +262,7 @@ def test_rare_large_errors_are_the_reason_for_over_confident_inside_the_interval
     error = errors.error * np.where(np.arange(K) % 20 == 0, 10.0, 1.0)[:, None]
     row = judged(replace(errors, error=error * SD / np.sqrt(np.mean(error**2, axis=0)))).loc["velocity_d"]
     assert row["low"] < row["mean_nees"] < row["high"]
-    assert (row["verdict"], row["why"]) == ("overconfident", "many beyond 3 sd")
+    assert (row["verdict"], row["why"]) == ("overconfident", Reason.BEYOND_3_SD)
 
 
 def on_a_slow_error(share: float, slow: float, seed: int) -> StateErrors:

@@ -34,7 +34,7 @@ from insdvl_replay.sim.sensor_errors import SensorErrors
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 BLUEYE = "blueye.protocol."
-IDLE = "sensors_idle"
+UNUSED = "sensors_unused"
 IMU2 = f"imu.topic={BLUEYE}Imu2Tel"
 
 
@@ -568,13 +568,13 @@ def test_sensors_that_no_filter_asks_for_are_named(tmp_path: Path) -> None:
     sensors = {"depth": SensorErrors(0.05, 4.0), "heading": SensorErrors(1.0)}
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=60.0, sensors=sensors))
     for deep in (False, True):
-        (note,) = (one for one in inspect_log(tmp_path / "dive.mcap", Config(), deep=deep).notes if one.code == IDLE)
+        (note,) = (one for one in inspect_log(tmp_path / "dive.mcap", Config(), deep=deep).notes if one.code == UNUSED)
         assert re.search(r": depth .*/pressure; heading .*/ahrs$", note.text)
-        assert """--set 'filters.with_sensors.aiding=["velocity", "depth", "heading"]'""" in note.hint
+        assert 'aiding = ["velocity", "depth", "heading"]' in note.hint
     told = load_config(overrides=['filters.with_sensors.aiding=["velocity", "depth", "heading"]'])
-    assert IDLE not in {one.code for one in inspect_log(tmp_path / "dive.mcap", told).notes}
+    assert UNUSED not in {one.code for one in inspect_log(tmp_path / "dive.mcap", told).notes}
 
 
 def test_a_topic_that_plays_a_role_is_no_idle_sensor() -> None:
     """The reference's fixes, and the IMU's own message with its orientation."""
-    assert IDLE not in {note.code for note in inspected("snapir/snapir_01.mcap").notes}
+    assert UNUSED not in {note.code for note in inspected("snapir/snapir_01.mcap").notes}

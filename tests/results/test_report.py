@@ -22,6 +22,7 @@ from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.tables import (
     ConvergenceRow,
 )
+from insdvl_replay.core.words import Reason
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.show.dive import (
@@ -165,16 +166,15 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped() -> None:
 def test_tables_say_why_a_verdict_is_not_that_of_its_interval() -> None:
     made = tables()
     near, far = (
-        msgspec.structs.replace(row, why=why)
-        for row, why in zip(made.credibility[:2], ("within 10 %", ""), strict=True)
+        msgspec.structs.replace(row, why=why) for row, why in zip(made.credibility[:2], (Reason.NEAR, ""), strict=True)
     )
-    beyond = msgspec.structs.replace(made.credibility[2], why="many beyond 3 sd")
-    innovations = [msgspec.structs.replace(made.consistency[0], why="within 10 %"), *made.consistency[1:]]
+    beyond = msgspec.structs.replace(made.credibility[2], why=Reason.BEYOND_3_SD)
+    innovations = [msgspec.structs.replace(made.consistency[0], why=Reason.NEAR), *made.consistency[1:]]
     told = msgspec.structs.replace(made, credibility=[near, far, beyond], consistency=innovations)
     text = as_markdown(dive_document(report(used=told)))
-    assert "velocity, north (within 10 %); accelerometer bias, x (many beyond 3 sd)." in text
-    assert "baseline velocity (within 10 %)." in text
-    assert "within 10 %" not in as_markdown(dive_document(report()))
+    assert f"velocity, north ({Reason.NEAR}); accelerometer bias, x ({Reason.BEYOND_3_SD})." in text
+    assert f"baseline velocity ({Reason.NEAR})." in text
+    assert Reason.NEAR not in as_markdown(dive_document(report()))
 
 
 def test_no_gain_is_next_to_a_filter_that_is_not_evaluated() -> None:

@@ -26,6 +26,7 @@ from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import BA, BG, DEG, DV, MG, PHI, STATES
+from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.credibility import nees
 from insdvl_replay.evaluation.ensemble import (
     Ensemble,
@@ -174,7 +175,7 @@ def test_verdict_takes_significance_and_size(mean: float, runs: int, word: str) 
     (row,) = verdict_table([ensemble]).itertuples()
     assert row.verdict == word
     outside = not row.low <= mean <= row.high
-    assert row.why == ("within 10 %" if word == "consistent" and outside else "")
+    assert row.why == (Reason.NEAR if word == "consistent" and outside else "")
     assert row.low == pytest.approx(chi2(12 * runs).ppf(0.025) / runs)
     assert row.high == pytest.approx(chi2(12 * runs).ppf(0.975) / runs)
 

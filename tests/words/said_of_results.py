@@ -11,6 +11,7 @@ from small_results import content, write
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.changes.comparison import brief_document, compare_results, opening_lines
 from insdvl_replay.core.dive_record import unique_names
+from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.series import dives_ratio, what_settles
 from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
 from insdvl_replay.results.folder import result_file, result_folder
@@ -110,8 +111,8 @@ def of_reports() -> Cases:
     made = report()
     yield "a report in Markdown", as_markdown(dive_document(made))
     near, far, beyond = (replace(tables().credibility[0], quantity=name) for name in ("velocity", "north", "ba_x"))
-    within = [replace(row, why="within 10 %") for row in (near, far)]
-    told = replace(tables(), credibility=[*within, replace(beyond, why="many beyond 3 sd")])
+    within = [replace(row, why=Reason.NEAR) for row in (near, far)]
+    told = replace(tables(), credibility=[*within, replace(beyond, why=Reason.BEYOND_3_SD)])
     yield (
         "reasons in spite of an interval",
         "\n".join(
