@@ -193,7 +193,7 @@ def run_by_stages(arguments: list[str]) -> None:
 
     with redirect_stdout(StringIO()), progress_listener(end_stage):
         code = run_command_line(arguments)
-    end_stage("")
+    end_stage("", 0, 0)
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     sys.stdout.write(json.dumps({"stages": spent, "wall_s": time.perf_counter() - begin_s, "peak_mb": peak_mb}))
     sys.exit(code)

@@ -1,6 +1,6 @@
 """What the paper says in words, each claim beside what the program finds.
 
-Every claim is judged by a rule, so that the word beside it follows from the number.
+Every claim is judged by a rule, so that the verdict next to it follows from the number.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,11 +32,11 @@ class Claim:
     place: str
     says: str
     found: str
-    word: str
+    verdict: str
 
 
 def judged(place: str, says: str, found: str, holds: bool) -> Claim:
-    """Give a claim its word."""
+    """Give a claim its verdict."""
     return Claim(place, says, found, REPEATED if holds else NOT_REPEATED)
 
 
