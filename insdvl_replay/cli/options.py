@@ -134,7 +134,12 @@ Colored = Annotated[
     ),
 ]
 ChosenTables = Annotated[
-    list[str], typer.Option("--table", metavar="NAME", help="Print only this table, with all rows. May be repeated.")
+    list[str],
+    typer.Option(
+        "--table",
+        metavar="NAME",
+        help="Print only this table, with all rows; pooled and summary are over all dives. May be repeated.",
+    ),
 ]
 
 

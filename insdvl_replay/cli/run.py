@@ -14,6 +14,8 @@ from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
+    from insdvl_replay.core.result import Report
+    from insdvl_replay.show.dives import Failure
 
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
 
@@ -35,7 +37,7 @@ def run(
             metavar="K", min=1, help="Number of drawn starts for each filter (default: evaluation.starts, 16)."
         ),
     ] = None,
-    format_: Annotated[opt.Format, typer.Option("--format", help="Output format.")] = "table",
+    format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     tables: opt.ChosenTables = [],
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
@@ -75,6 +77,7 @@ def run(
       insdvl-replay run sensors.mcap gnss.mcap --one-dive
       insdvl-replay run archive --jobs 4
       insdvl-replay run dive.mcap --table evidence --format csv
+      insdvl-replay run dives/*.mcap --table pooled --table summary --format latex > tables.tex
       insdvl-replay run dive.mcap --tum
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
@@ -87,6 +90,7 @@ def run(
     from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, result_file
     from insdvl_replay.show.dive import (
+        TOGETHER,
         dive_document,
         dive_screen,
         heading,
@@ -112,8 +116,9 @@ def run(
     )
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
-    if not alone:
-        _require_overviews(dives, output, force=force)
+    # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
+    at_the_end = format_ in ("json", "csv", "html") or set(tables) in ({*TOGETHER}, *({name} for name in TOGETHER))
+    _require_overviews(dives, output, tables, force=force)
     # With the screen, stderr names each result and warning only if it is not the same terminal.
     shows_screen = format_ == "table" and not (tables or verbose or quiet)
     talks = not (quiet or (shows_screen and sys.stderr.isatty()))
@@ -139,10 +144,10 @@ def run(
             log_notes(report.notes, verbose=verbose > 0)
         if outcome.unchanged and alone and not (quiet or talks):
             log_to_stderr(f"unchanged {target}")
-        # For several dives, the screen, JSON and CSV are printed once all are done.
+        # For several dives, the screen is printed once all are done.
         if quiet and format_ == "table":
             write_stdout(f"{visible(heading(report))}\n")
-        elif alone or not (shows_screen or format_ in ("json", "csv")):
+        elif not (at_the_end or shows_screen) or (alone and not tables):
             write_stdout(shown(report, target))
         if talks:
             log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
@@ -153,6 +158,8 @@ def run(
             codes[name] = log_failure(
                 LogError(found, "the result was written; leave --strict out to accept it"), verbose
             )
+    if tables and not (quiet and format_ == "table"):
+        write_stdout(_tables_of_all(reports, tables, format_, at_the_end=at_the_end))
     if alone:
         return max(codes.values())
 
@@ -164,12 +171,10 @@ def run(
             log_to_stderr(f"wrote {output / overview}")
     if unchanged and not (quiet or talks):
         log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
-    done = [report for report in reports if isinstance(report, Report)]
-    if not quiet or format_ in ("json", "csv"):
-        parts = overview_parts(reports)
-        if format_ == "table":
-            parts = [] if tables else dives_screen(reports, str(output / INDEX))
-        write_stdout(written(replay_result(done, parts, tables), format_))
+    if not tables and (not quiet or format_ in ("json", "csv", "html")):
+        last = dives_screen(reports, str(output / INDEX)) if format_ == "table" else overview_parts(reports)
+        done = [report for report in reports if isinstance(report, Report)]
+        write_stdout(written(replay_result(done, last), format_))
     if failed := [name for name, code in codes.items() if code]:
         reasons = [report.reason for report in reports if isinstance(report, Failure)]
         first = f"; the first: {reasons[0]}" if reasons else ""
@@ -177,11 +182,30 @@ def run(
     return max(codes.values())
 
 
-def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, *, force: bool) -> None:
+def _tables_of_all(reports: "Sequence[Report | Failure]", tables: list[str], format_: str, *, at_the_end: bool) -> str:
+    """Return the named tables over all dives, after those of each dive if these are printed at the end, too."""
+    from insdvl_replay.cli.screen import written
+    from insdvl_replay.core.result import Heading, Part, Report
+    from insdvl_replay.show.dive import TOGETHER, tables_named
+    from insdvl_replay.show.dives import named_result
+
+    parts: list[Part] = []
+    for report in reports if at_the_end else ():
+        if isinstance(report, Report):
+            parts += [Heading(report.log.name), *tables_named(report, *tables)]
+    is_wanted = at_the_end or not set(tables).isdisjoint(TOGETHER)
+    return written(named_result(reports, tables, parts), format_) if is_wanted else ""
+
+
+def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, tables: list[str], *, force: bool) -> None:
     """Raise if an overview cannot be written. A file with its name that is no overview is not replaced."""
     from insdvl_replay.results.folder import require_replaceable_file
     from insdvl_replay.show.dives import OVERVIEWS
 
+    if len(dives) == 1:
+        if "pooled" in tables:
+            raise ConfigError(f"--table pooled: {dives[0].name} is one dive", "name two dives or more")
+        return
     for name, (_, beginning) in OVERVIEWS.items():
         path = output / name
         for dive in dives:

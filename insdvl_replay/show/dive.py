@@ -7,6 +7,7 @@ from html import escape
 from typing import Any, Final, Protocol, TypeVar
 
 import msgspec
+from msgspec import Struct
 from msgspec.structs import replace
 
 from insdvl_replay.core.config import Config
@@ -337,27 +338,41 @@ def _in_spite(named: Iterable[tuple[str, str]]) -> str:
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.
 
+TOGETHER: Final = ("pooled", "summary")
+"""Names of the tables over all dives."""
+
 
 def require_tables(names: Sequence[str]) -> None:
     """Raise a ConfigError, with the nearest name, if a table is not known."""
+    known = [*(layout.name for layout in TABLES), *TOGETHER]
     for name in names:
-        require_known("table", name, [layout.name for layout in TABLES], most=len(TABLES))
+        require_known("table", name, known, most=len(known))
 
 
-def replay_result(found: Report | Sequence[Report], document: Sequence[Part], names: Sequence[str] = ()) -> Result:
-    """Return the result of one dive or several; if tables are named, its data are their rows of all dives."""
+def replay_result(
+    found: Report | Sequence[Report],
+    document: Sequence[Part],
+    names: Sequence[str] = (),
+    together: Mapping[str, tuple[type[Struct], Sequence[Struct]]] = {},
+) -> Result:
+    """Return the result of one dive or several; if tables are named, its data are their rows of all dives.
+
+    ``together`` has the rows of tables over all dives, and their type.
+    """
     reports = [found] if isinstance(found, Report) else found
     rows = {
-        layout.name: [row for report in reports for row in getattr(report.tables, layout.name)] for layout in TABLES
-    }
-    blocks = {layout.name: Block.of(layout.row, rows[layout.name]) for layout in TABLES}
+        layout.name: (layout.row, [row for report in reports for row in getattr(report.tables, layout.name)])
+        for layout in TABLES
+    } | dict(together)
+    blocks = {name: Block.of(*typed) for name, typed in rows.items()}
+    title = reports[0].log.name if len(reports) == 1 else counted(len(reports), "dive")
     return Result(
         kind="replay",
-        title=", ".join(report.log.name for report in reports),
-        tables={name: block for name, block in blocks.items() if name in names or not names},
+        title=title,
+        tables={name: block for name, block in blocks.items() if name in names or not (names or name in together)},
         block="" if len(names) == 1 else "table",
-        document=document,
-        data={name: rows[name] for name in names} if names else found,
+        document=[Only(PAGE, (Title(title),)), *document] if names else document,
+        data={name: rows[name][1] for name in names if name in rows} if names else found,
     )
 
 

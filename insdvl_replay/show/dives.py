@@ -6,16 +6,18 @@ from dataclasses import dataclass, replace
 from typing import Final
 from urllib.parse import quote
 
+from msgspec import Struct
 from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import natural_key
 from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, is_whole, label
-from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
-from insdvl_replay.core.tables import PooledRow, finite
+from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Result, Sentences, Title
+from insdvl_replay.core.tables import Number, PooledRow, finite
 from insdvl_replay.core.words import GateStatus, Severity, Verdict
 from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
 from insdvl_replay.show.dive import (
     MEANS,
+    TOGETHER,
     TONES,
     as_shown,
     gain_cells,
@@ -23,6 +25,7 @@ from insdvl_replay.show.dive import (
     interval_text,
     over_starts,
     ratio_text,
+    replay_result,
     shouted,
 )
 from insdvl_replay.show.document import MISSING, counted, number, rows_csv, shown, significant
@@ -164,23 +167,30 @@ def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
 
 # --- For scripts: a summary, and the pooled evidence.
 
-COLUMNS: Final = (
-    "log", "filter", "mean_improvement_pct", "mean_convergence_improvement_pct", "position_h_baseline_rmse_m",
-    "position_h_rmse_m", "position_h_baseline_rmse_pct", "position_h_rmse_pct", "improvement", "prediction", "verdicts",
-    "status", "reason",
-)  # fmt: skip
+
+class SummaryRow(Struct, frozen=True):
+    """One log and candidate. A failed log has a reason instead of numbers; without an evaluation there is no gain."""
+
+    log: str
+    filter: str | None = None
+    mean_improvement_pct: Number = None
+    mean_convergence_improvement_pct: Number = None
+    position_h_baseline_rmse_m: Number = None
+    position_h_rmse_m: Number = None
+    position_h_baseline_rmse_pct: Number = None
+    position_h_rmse_pct: Number = None
+    improvement: str | None = None
+    prediction: str | None = None
+    verdicts: str | None = None
+    status: str = "done"  # or failed
+    reason: str | None = None
 
 
-def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
-    """Write a row for each log and candidate, as CSV, in the order of the logs.
-
-    Status is ``done`` or ``failed``; a failed log has a reason instead of numbers. A candidate that is not evaluated
-    has no gain.
-    """
-    rows: list[tuple[object, ...]] = []
+def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
+    """Yield a row for each log and candidate, in the order of the logs."""
     for outcome in outcomes:
         if isinstance(outcome, Failure):
-            rows.append((outcome.log, *[None] * (len(COLUMNS) - 3), "failed", outcome.reason))
+            yield SummaryRow(outcome.log, status="failed", reason=outcome.reason)
             continue
         for name, candidate in outcome.filters.items():
             gains = (candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct)
@@ -190,9 +200,13 @@ def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
             measured = [row for row in outcome.tables.consistency if row.filter == name and is_whole(row.measurement)]
             verdicts = [f"{row.measurement} {row.verdict}" for row in measured]
             verdicts += [f"errors {candidate.credibility}"] if candidate.credibility else []
-            words = (candidate.verdict, candidate.prediction, "; ".join(verdicts), "done", None)
-            rows.append((outcome.log.name, name, *gains, *positions, *words))
-    return rows_csv(COLUMNS, rows).encode()
+            words = (candidate.verdict, candidate.prediction, "; ".join(verdicts))
+            yield SummaryRow(outcome.log.name, name, *gains, *positions, *words)
+
+
+def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
+    """Write the summary as CSV."""
+    return rows_csv(SummaryRow.__struct_fields__, map(astuple, summary_rows(outcomes))).encode()
 
 
 def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
@@ -201,10 +215,58 @@ def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | No
     return next(((row.baseline_rmse, row.rmse) for row in rows), (None, None))
 
 
+def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
+    """Return the pooled evidence on all candidates."""
+    return [row for pooled in pooled_candidates(outcomes) for row in pooled.rows]
+
+
 def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
     """Write the pooled evidence of several dives, as CSV."""
-    rows = (astuple(row) for pooled in pooled_candidates(outcomes) for row in pooled.rows)
-    return rows_csv(PooledRow.__struct_fields__, rows).encode()
+    return rows_csv(PooledRow.__struct_fields__, map(astuple, pooled_rows(outcomes))).encode()
+
+
+# --- The tables over all dives that `--table` names.
+
+_SUMMARIES: Final = ("position", "position_pct", "drift_60s", "outage_60s")
+"""Evidence rows of the summary, where a dive has them."""
+
+
+def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Sequence[Part]) -> Result:
+    """Return named tables of all dives, with other parts before those over all dives."""
+    rows: dict[str, tuple[type[Struct], Sequence[Struct]]] = {
+        "pooled": (PooledRow, pooled_rows(outcomes)),
+        "summary": (SummaryRow, list(summary_rows(outcomes))),
+    }
+    shown_tables = [table for name in names if name in TOGETHER for table in _TOGETHER[name](outcomes)]
+    return replay_result(_reports(outcomes), [*parts, *shown_tables], names, rows)
+
+
+def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+    for pooled in pooled_candidates(outcomes):
+        yield shown(PooledRow, map(as_shown, pooled.rows), filter=pooled.name, baseline=pooled.baseline)
+
+
+def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+    """Yield the values of dives by filters, a table for each quantity."""
+    reports = _reports(outcomes)
+    names = list(dict.fromkeys(name for report in reports for name in report.filters))
+    baselines = " or ".join(sorted({report.baseline for report in reports}))
+    for quantity in _SUMMARIES:
+        rows, unit = [], ""
+        for report in reports:
+            found = {row.filter: row for row in report.tables.evidence if row.quantity == quantity}
+            for row in list(found.values())[:1]:
+                values = (number(found[name].value) if name in found else MISSING for name in names)
+                rows.append((report.log.name, number(row.baseline), *values))
+                unit = row.unit
+        if rows:
+            title = f"Summary: {label(quantity)} [{unit}] of dives by filters"
+            yield DisplayTable(
+                title, ("dive", baselines, *names), f"lr{'r' * len(names)}", tuple(rows), title_apart=True
+            )
+
+
+_TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}
 
 
 # --- The page, and the same in other formats.
@@ -216,7 +278,7 @@ def index_page(outcomes: Sequence[Outcome]) -> bytes:
 
 
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
-    "summary.csv": (summary_csv, rows_csv(COLUMNS, ()).encode()),
+    "summary.csv": (summary_csv, rows_csv(SummaryRow.__struct_fields__, ()).encode()),
     "evidence.csv": (evidence_csv, rows_csv(PooledRow.__struct_fields__, ()).encode()),
     INDEX: (index_page, SIGNATURE.encode()),
 }
@@ -281,5 +343,4 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         f"{MEANS}; position: rms of the horizontal error" if known else MEANS,
         links=tuple(links),
     )
-    for pooled in pooled_candidates(outcomes):
-        yield shown(PooledRow, map(as_shown, pooled.rows), filter=pooled.name, baseline=pooled.baseline)
+    yield from _pooled_tables(outcomes)

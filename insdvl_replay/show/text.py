@@ -1,6 +1,6 @@
-"""A document as text: on a terminal, in Markdown for a merge request, in LaTeX for a paper.
+"""A document as text: on a terminal, and in Markdown for a merge request.
 
-Text is shown as everywhere (`errors.visible`) and cannot leave its place: no HTML, no link, no command of its own.
+Text is shown as everywhere (`errors.visible`) and cannot leave its place: no HTML, no link.
 """
 
 import re
@@ -18,7 +18,6 @@ from rich.text import Text
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.result import (
     Callout,
-    CellText,
     Code,
     DisplayTable,
     Document,
@@ -126,10 +125,10 @@ def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
 
 def as_markdown(document: Document) -> str:
     """Render a document in Markdown."""
-    return "\n\n".join(_markdown(part) for part in _flat("markdown", document)) + "\n"
+    return "\n\n".join(_markdown(part) for part in flat("markdown", document)) + "\n"
 
 
-def _flat(format_: Format, document: Document) -> Iterator[Part]:
+def flat(format_: Format, document: Document) -> Iterator[Part]:
     """Yield the parts of a format, sentences one by one."""
     for part in parts_for(format_, document):
         yield from part.lines if isinstance(part, Sentences) else (part,)
@@ -164,67 +163,3 @@ def _markdown_cell(line: str) -> str:
 def sentence_of(part: Part) -> str:
     """Return the text of a part that is one sentence; empty for other parts."""
     return part if isinstance(part, str) else part.text if isinstance(part, Title | Callout | Remark) else ""
-
-
-# --- LaTeX: sentences are comments, and tables need ``\usepackage{booktabs}``.
-
-_ESCAPES: Final = {
-    "\\": r"\textbackslash{}",
-    "^": r"\textasciicircum{}",
-    "~": r"\textasciitilde{}",
-    **{character: f"\\{character}" for character in "&%$#_{}"},
-    "\N{PLUS-MINUS SIGN}": r"\ensuremath{\pm}",
-    "\N{EN DASH}": "--",
-    "\N{SUPERSCRIPT TWO}": r"\ensuremath{^2}",
-}
-_NUMBER: Final = re.compile(r"(?P<sign>[+-]?)(?P<digits>\d+(?:\.\d+)?)(?:e(?P<power>[+-]\d+))?(?: (?P<unit>%))?")
-_LONGEST_LABEL: Final = 60
-
-
-def as_latex(document: Document) -> str:
-    """Render a document in LaTeX: all sentences first, then one ``table`` for each table."""
-    parts = list(_flat("latex", document))
-    comments = "\n".join(f"% {visible(text)}" for part in parts if (text := sentence_of(part)))
-    return "\n\n".join([comments, *(_latex_table(part) for part in parts if isinstance(part, DisplayTable))]) + "\n"
-
-
-def _latex_table(table: DisplayTable) -> str:
-    label = re.sub(r"[^a-z0-9]+", "-", table.title.lower()).strip("-")[:_LONGEST_LABEL]
-    return "\n".join(
-        [
-            r"\begin{table}",
-            r"\centering",
-            rf"\caption{{{_latex_text(table.title)}}}",
-            rf"\label{{tab:{label}}}",
-            rf"\begin{{tabular}}{{{table.alignment}}}",
-            r"\toprule",
-            _latex_row([" ".join(name.split()) for name in table.header]),
-            r"\midrule",
-            *map(_latex_row, table.rows),
-            r"\bottomrule",
-            r"\end{tabular}",
-            *([rf"\par {_latex_text(table.footnote)}"] if table.footnote else []),
-            r"\end{table}",
-        ]
-    )
-
-
-def _latex_row(row: Sequence[CellText]) -> str:
-    """Write a row; braces before what would be an option of the one above, or a command to a job runner."""
-    text = " & ".join(_latex_cell(" ".join(" ".join(cell_lines(cell)).split())) for cell in row)
-    return re.sub(r"^(?=[\[*:])", "{}", text) + r" \\"
-
-
-def _latex_cell(text: str) -> str:
-    """Write a number with a real minus and powers of ten, other text as it is."""
-    found = _NUMBER.fullmatch(text)
-    if found is None:
-        return _latex_text(text)
-    sign = found["sign"]
-    power = rf" \times 10^{{{int(found['power'])}}}" if found["power"] else ""
-    unit = r"\,\%" if found["unit"] else ""
-    return f"${sign}{found['digits']}{power}${unit}" if sign or power else f"{found['digits']}{unit}"
-
-
-def _latex_text(text: str) -> str:
-    return "".join(_ESCAPES.get(letter, letter) for letter in visible(text))

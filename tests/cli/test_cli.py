@@ -16,7 +16,7 @@ SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "straight.mcap"
 DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
-        "--starts K", "--format <table|json|csv|md|latex>", "--table NAME",
+        "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
         "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict",
         "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
@@ -195,7 +195,7 @@ def test_the_saved_configuration_reproduces_the_result(
 
 @pytest.mark.parametrize(
     ("format_", "start"),
-    [("csv", "table,log,filter,state"), ("md", "## straight: "), ("latex", "% straight: ")],
+    [("csv", "table,log,filter,state"), ("md", "## straight: "), ("latex", "% needs "), ("html", "<!doctype html>")],
 )
 def test_other_formats(
     format_: str, start: str, dive: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

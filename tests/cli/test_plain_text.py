@@ -21,7 +21,8 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import visible, visible_lines, without_commands
 from insdvl_replay.core.result import Code, DisplayTable, Sentences, Title
 from insdvl_replay.show.document import rows_csv
-from insdvl_replay.show.text import as_latex, as_markdown
+from insdvl_replay.show.latex import as_latex
+from insdvl_replay.show.text import as_markdown
 
 HOSTILE = "\n::error file=x::pwned\x1b]0;t\x07\r\x85\u2028\u202e\u200b##[error]x<b>&|`%\\input{evil}"
 DIVE = f"::error::=a{HOSTILE}"
@@ -121,9 +122,9 @@ def test_markup_is_not_left() -> None:
     latex = as_latex(document)
     assert_plain(latex)
     assert [line for line in latex.split("\n") if r"\input" in line] == [
-        line for line in latex.split("\n") if line.startswith("% ")
+        line for line in latex.split("\n") if line.startswith(r"% \x0a")
     ]
-    assert "\n{}[1cm] & <i> \\\\\n" in latex
+    assert "\n{}[1cm] & \\textless{}i\\textgreater{} \\\\\n" in latex
 
 
 def test_a_block_of_code_is_not_left() -> None:

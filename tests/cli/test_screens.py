@@ -284,7 +284,24 @@ def test_tables_of_several_dives_are_one_in_every_format(
     assert capsys.readouterr().out.count("table,log,filter,quantity,unit,fitted") == 1
     assert run_command_line([*run, "--table", "evidence", "--format", "json"]) == 0
     assert {row["log"] for row in json.loads(capsys.readouterr().out)["evidence"]} == {"a", "b"}
-    for format_, begin in (("md", "## 2 dives"), ("latex", "% 2 dives")):
+    capsys.readouterr()
+    assert run_command_line([*run, "--table", "pooled", "--table", "summary", "--format", "json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert list(found) == ["pooled", "summary"]
+    assert {row["log"] for row in found["pooled"]} == {"*"}
+    assert [row["log"] for row in found["summary"]] == ["a", "b"]
+    assert run_command_line([*run, "--table", "summary", "--format", "csv"]) == 0
+    assert capsys.readouterr().out == Path("replay", "summary.csv").read_text()
+    for format_, begin in (("table", "Summary: position [m]"), ("md", "| a | "), ("html", "<td>a</td>")):
+        assert run_command_line([*run, "--table", "summary", "--table", "pooled", "--format", format_]) == 0
+        printed = capsys.readouterr().out
+        assert begin in printed
+        assert "track" not in printed.partition("<body>")[2]
+    assert run_command_line([*run, "--table", "track_fit", "--table", "pooled", "--format", "latex"]) == 0
+    assert len(re.findall(r"label{tab:(?:a|b|2-dives|322064697665|2.*dives):", capsys.readouterr().out)) >= 3
+    assert run_command_line([*run[:2], "--starts", "1", "--table", "pooled"]) == 2
+    assert "pooled: a.mcap is one dive" in capsys.readouterr().err
+    for format_, begin in (("md", "## 2 dives"), ("latex", "% 2 dives"), ("html", "<!doctype html>")):
         assert run_command_line([*run, "--format", format_]) == 0
         assert begin in capsys.readouterr().out
     assert run_command_line([*run, "--table", "evidense"]) == 2

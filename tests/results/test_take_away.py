@@ -13,16 +13,21 @@ import numpy as np
 import pandas as pd
 import pytest
 from made_reports import report
+from msgspec.structs import replace
 
 import insdvl_replay
 from insdvl_replay import Result, load_config, read_result, replay_log
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.result import DisplayTable
 from insdvl_replay.core.states import STATES
 from insdvl_replay.results import stored_results
 from insdvl_replay.results.trajectory import KINDS
-from insdvl_replay.show.dive import dive_document
-from insdvl_replay.show.text import as_latex
+from insdvl_replay.show.dive import dive_document, replay_result
+from insdvl_replay.show.dives import named_result
+from insdvl_replay.show.document import number as shown_number
+from insdvl_replay.show.latex import as_latex
+from insdvl_replay.show.render import render
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
@@ -165,49 +170,81 @@ def test_parquet_needs_its_library_and_says_so_before_any_work(
 # --- LaTeX.
 
 
-def test_latex_has_labels_real_minus_and_powers_of_ten() -> None:
-    text = as_latex(dive_document(report()))
-    assert text.count(r"\centering") == text.count(r"\begin{tabular}") == text.count(r"\label{tab:")
+def paper(dives: int = 8) -> str:
+    """All tables of some dives, as `run DIVES --format latex` prints them."""
+    reports = [replace(report(), log=replace(report().log, name=f"dive_{number} & {{co}}")) for number in range(dives)]
+    results = [replay_result(found, dive_document(found)) for found in reports]
+    together = named_result(reports, ("pooled", "summary"), ())
+    return "".join(render(result, "latex") for result in (*results, together))
+
+
+def test_latex_labels_each_table_once_and_names_its_dive() -> None:
+    text = paper()
     labels = re.findall(r"\\label\{(.+?)\}", text)
-    assert len(labels) == len(set(labels))
-    assert r"$-20.0$\,\%" in text
-    assert re.search(r"\$-?\d\.\d+ \\times 10\^\{-?\d+\}\$", as_latex([*tiny()]))
+    assert len(labels) == len(set(labels)) == text.count(r"\begin{table}") > 90
+    assert all(re.fullmatch(r"tab:[\w.:-]+", label) for label in labels)
+    captions = re.findall(r"\\caption\{(.+)\}", text)
+    assert len(captions) == len(labels)
+    for dive in range(8):
+        named = [
+            label for caption, label in zip(captions, labels, strict=True) if rf"dive\_{dive} \& \{{co\}}" in caption
+        ]
+        assert len(named) == len(labels) // 8
+        assert all(label.startswith(f"tab:dive_{dive}") for label in named)
     assert re.sub(r"(?m)^%.*$", "", text).isascii(), "any LaTeX reads it"
+    assert len(set(re.findall(r"label\{(.+?)\}", as_latex([*tiny(), *tiny()])))) == 2
 
 
 def tiny() -> list[Any]:
-    from insdvl_replay.core.result import DisplayTable
-    from insdvl_replay.show.document import number
+    rows = (("a|b<c>", shown_number(2.3e-5), "-12.5 %", "x -- y"), ("d", shown_number(-0.5), "-", ""))
+    return ["numbers", DisplayTable("Small", ("", "a_b\n[s]", "change", "r"), "lrrr", rows)]
 
-    return ["numbers", DisplayTable("Small", ("a", "b"), "rr", ((number(2.3e-5), number(-0.5)),))]
+
+def test_latex_has_columns_of_siunitx() -> None:
+    lines = as_latex(tiny()).split("\n")
+    assert lines[0] == r"% needs \usepackage{booktabs,siunitx}"
+    assert r"\begin{tabular}{lS[table-format=-1.4e-1]S[table-format=-2.1]r}" in lines
+    assert r" & {a\_b [s]} & {change [\%]} & r \\" in lines
+    assert r"a\textbar{}b\textless{}c\textgreater{} & 2.30e-5 & -12.5 & x -{}- y \\" in lines
+    assert r"d & -0.5000 & {--} &  \\" in lines
+
+
+def test_latex_is_balanced() -> None:
+    """What every LaTeX asks for first, tried where there is none: braces, dollars and environments in pairs."""
+    text = re.sub(r"(?m)(?<!\\)%.*$", "", paper(2) + as_latex(tiny()))
+    plain = re.sub(r"\\[\\{}$&%#_]", "", text)
+    assert plain.count("{") == plain.count("}")
+    assert plain.count("$") % 2 == 0
+    assert not re.search(r"[\^~<>|#]|(?<![a-zA-Z:\d])_", re.sub(r"\\label\{.*?\}", "", plain)), "all is escaped"
+    for name in ("table", "tabular"):
+        assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}")
+    column = r"(?:[lr]|p\{35mm\}|S\[table-format=[+-]?\d+(?:\.\d+)?(?:e-\d)?(?:,retain-explicit-plus)?\])"
+    found = re.findall(rf"\\begin\{{tabular\}}\{{({column}+)\}}\n(.*?)\\end\{{tabular\}}", text, re.DOTALL)
+    assert len(found) == text.count(r"\begin{tabular}")
+    for letters, content in found:
+        columns = re.findall(column, letters)
+        head, *rows = (re.split(r" (?<!\\)& ", row) for row in content.split(" \\\\\n") if " & " in row)
+        assert all(len(row) == len(columns) for row in (head, *rows))
+        for kind, name, *cells in zip(columns, head, *rows, strict=True):
+            if kind.startswith("S"):
+                assert name.split("\n")[-1][0] + name[-1] == "{}"
+                assert all(re.fullmatch(r"\{--\}|[+-]?\d+(\.\d+)?(e[+-]\d+)?", cell.split("\n")[-1]) for cell in cells)
 
 
 @pytest.mark.nightly
 @pytest.mark.skipif(not (shutil.which("tectonic") or shutil.which("pdflatex")), reason="needs LaTeX")
 def test_latex_compiles(tmp_path: Path) -> None:
-    body = as_latex(dive_document(report()))
+    packages = "\\usepackage{booktabs,siunitx}"
     (tmp_path / "paper.tex").write_text(
-        "\\documentclass{article}\\usepackage{booktabs}\\begin{document}\n" + body + "\\end{document}\n", "utf-8"
+        f"\\documentclass{{article}}{packages}\\begin{{document}}\n{paper()}{as_latex(tiny())}\\end{{document}}\n",
+        "utf-8",
     )
     program = shutil.which("tectonic") or "pdflatex"
     options = [] if "tectonic" in program else ["-interaction=nonstopmode", "-halt-on-error"]
     done = subprocess.run([program, *options, "paper.tex"], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout[-2000:]
+    assert "multiply defined" not in done.stdout
     assert (tmp_path / "paper.pdf").stat().st_size > 10_000
-
-
-def test_latex_is_balanced() -> None:
-    """What every LaTeX asks for first, tried where there is none: braces, dollars and environments in pairs."""
-    text = re.sub(r"(?m)(?<!\\)%.*$", "", as_latex(dive_document(report())))
-    plain = re.sub(r"\\[\\{}$&%#_]", "", text)
-    assert plain.count("{") == plain.count("}")
-    assert plain.count("$") % 2 == 0
-    for name in ("table", "tabular"):
-        assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}")
-    for table in re.findall(r"\\begin\{tabular\}\{(\w+)\}(.*?)\\end\{tabular\}", text, re.DOTALL):
-        letters, rows = table
-        cells = [row.count(" & ") + 1 for row in rows.split("\\\\\n") if "&" in row]
-        assert set(cells) == {len(letters)}
 
 
 # --- Python.
