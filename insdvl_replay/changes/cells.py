@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 
 from insdvl_replay.core.errors import ResultError
-from insdvl_replay.core.quantities import CONSISTENT
+from insdvl_replay.core.quantities import CONSISTENT, label
 from insdvl_replay.core.result import Cell, Row, StoredReport, StoredResult
-from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, Better, Number, TableLayout
+from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, UNITS, Better, Number, TableLayout
 from insdvl_replay.core.words import ChangeVerdict
 from insdvl_replay.show.document import FORMS, MISSING
 
@@ -23,8 +23,8 @@ ROUNDING: Final = 1e-9
 """Relative difference from rounding, by another processor or binary fractions: 0.3 - 0.2 is not more than 0.1."""
 NAMES: Final = frozenset(("log", "filter", "unit"))
 """Columns that identify a row, with its key."""
-SENTENCES: Final = frozenset((("filters", "sentence"),))
-"""Cells with text about numbers in other cells."""
+PROSE: Final = frozenset(("sentence", "why"))
+"""Columns with sentences, which are about numbers in other cells."""
 
 
 class Change(Struct, frozen=True):
@@ -62,6 +62,37 @@ class Moved(NamedTuple):
     change_pct: float | None
     verdict: ChangeVerdict
     better: Better | None = None
+
+
+# --- Names and changes as people read them.
+
+_SHORT_NAMES: Final = {"rmse": "rms", "mean nis": "mean NIS", "mean nees": "mean NEES", "value": "", "fitted": ""}
+_MOST_LETTERS: Final = 30  # of a setting in a sentence
+_DIGITS: Final = range(3, 18)  # significant digits of two values; as many as it takes to tell them apart
+
+
+def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "") -> str:
+    """Name a cell in the field's words, such as ``aided position rms``; columns of the baseline are its own."""
+    if baseline and (column == "baseline" or column.startswith("baseline_")):
+        filter_, column = baseline, column.removeprefix("baseline").removeprefix("_")
+    words = column.removesuffix(next((ending for ending in UNITS if column.endswith(ending)), "")).replace("_", " ")
+    what = label(f"outage_{row}s" if table == "outage" else row).replace(",", "")
+    return " ".join(filter(None, dict.fromkeys((filter_, what, _SHORT_NAMES.get(words, words)))))
+
+
+def numbers_apart(old: float, new: float) -> tuple[str, str]:
+    """Write two numbers with three digits, or with as many as it takes to tell them apart."""
+    texts = ((f"{old:.{digits}g}", f"{new:.{digits}g}") for digits in _DIGITS)
+    return next((pair for pair in texts if pair[0] != pair[1]), (f"{old:.3g}", f"{new:.3g}"))
+
+
+def change_text(key: str, old: str, new: str) -> str:
+    """Write the change of a setting, long values cut."""
+    texts = (text if len(text) <= _MOST_LETTERS else f"{text[: _MOST_LETTERS - 3]}..." for text in (old, new))
+    return f"{key} {' -> '.join(texts)}"
+
+
+# --- Compare.
 
 
 def agree(old: float, new: float, column: str) -> bool:
@@ -203,11 +234,10 @@ def changes_of(
     """
     for layout in layouts:
         befores, afters = (named_rows(side.report, layout, side.folder) for side in (old, new))
-        skipped = NAMES | {layout.key} | {column for table, column in SENTENCES if table == layout.name}
         for name in dict.fromkeys((*afters, *befores)):
             before, after = befores.get(name, {}), afters.get(name, {})
             for column in dict.fromkeys((*after, *before)):
-                if column in skipped:
+                if column in NAMES | PROSE | {layout.key}:
                     continue
                 moved = Moved(None, None, ChangeVerdict.NEW if column in after else ChangeVerdict.GONE)
                 if column in before and column in after:

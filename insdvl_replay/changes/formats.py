@@ -1,4 +1,4 @@
-"""The outcome of the gates as text, Markdown for a merge request, JSON, JUnit XML, and annotations on GitHub."""
+"""The outcome of the gates as text, Markdown for a merge request, page, JSON, JUnit XML, and annotations on GitHub."""
 
 import re
 from collections import Counter
@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 
 from msgspec import Meta, Struct
 
+from insdvl_replay.changes.cells import cell_name
 from insdvl_replay.changes.gate_file import TRAJECTORY
-from insdvl_replay.changes.gates import EVERY_DIVE, CheckResult, Finding, GateOutcome
+from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.result import DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.tables import PERCENTAGE
@@ -45,7 +46,7 @@ class CheckReport(Struct, frozen=True):
 
 
 def in_format(found: CheckResult, format_: str) -> str:
-    """Write the outcome of the gates as text, md, json, junit or github."""
+    """Write the outcome of the gates as text, md, html, json, junit or github."""
     match format_:
         case "text":
             return check_text(found)
@@ -57,26 +58,26 @@ def in_format(found: CheckResult, format_: str) -> str:
 
 
 def check_result(found: CheckResult) -> Result:
-    """Return the outcome of the gates, with the gated values that differ from their baselines."""
+    """Return the outcome of the gates, with the gated values that differ from the expected ones."""
     parts: list[Part] = [Title("Gates"), *_counts(found)[::-1]]
     for name, words in found.words.items():
         parts.append(f"{name}: {', '.join(f'{count} {word}' for word, count in words.items())}")
     if missed := _missed(found):
-        rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.reasons)) for item in missed)
+        rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.explained)) for item in missed)
         parts.append(DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows))
     moved = []
     for item in found.outcomes:
         for cell in item.findings:
             was, now, unit = _values(cell)
-            if cell.was is not None and was != now:
+            if cell.expected is not None and was != now:
                 moved.append(
                     (item.dive, _place(cell), was, f"{now}{unit}", _growth(cell), "" if cell.passed else "FAILED")
                 )
     if moved:
         moved.sort(key=lambda row: not row[-1])  # failures first
         more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
-        header = ("dive", "value", "before", "after", "change", "")
-        parts.append(DisplayTable("Before and after", header, "llrrrl", tuple(moved[:MOST_MOVED]), more))
+        header = ("dive", "value", "expected", "found", "change", "")
+        parts.append(DisplayTable("Changed values", header, "llrrrl", tuple(moved[:MOST_MOVED]), more))
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
@@ -92,7 +93,7 @@ def check_sentence(found: CheckResult) -> str:
 
 
 def _counts(found: CheckResult) -> list[str]:
-    """Return the counts of changed trajectories, if gates compare them with a baseline, and of the gates."""
+    """Return the counts of changed trajectories, if gates compare them, and of the gates."""
     held = [item for item in found.outcomes if item.is_trajectory]
     errors = {item.dive for item in held if item.status == GateStatus.UNUSABLE or not item.findings}
     changed = {item.dive for item in held if not all(finding.passed for finding in item.findings)} - errors
@@ -102,13 +103,13 @@ def _counts(found: CheckResult) -> list[str]:
 
 
 def check_text(found: CheckResult) -> str:
-    """Return the gates that did not pass, then the number of passed dives of each gate."""
-    lines = list[str]()
+    """Return the counts, the gates that did not pass, and the number of passed dives of each gate."""
+    lines = [*_counts(found)[::-1], ""]
     for item in _missed(found):
-        lines += [f"{WORDS[item.status][0]}  {item.dive}: {item.gate}", *(f"    {reason}" for reason in item.reasons)]
-    lines += [""] if lines else []
+        lines += [f"{WORDS[item.status][0]}  {item.dive}: {item.gate}", *(f"    {reason}" for reason in item.explained)]
+    lines += [""] if lines[-1] else []
     lines += [f"{name}: {passed}" for name, passed in _passed(found)]
-    return "".join(f"{visible(line)}\n" for line in (*lines, "", *_counts(found)))
+    return "".join(f"{visible(line)}\n" for line in lines)
 
 
 def _missed(found: CheckResult) -> list[GateOutcome]:
@@ -128,26 +129,29 @@ def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
 
 
 def junit_xml(found: CheckResult) -> str:
-    """Write JUnit XML."""
+    """Write JUnit XML: seconds of each dive's replay, in equal shares by gate; file and line of each gate."""
 
-    def counts(outcomes: Sequence[GateOutcome]) -> dict[str, str]:
+    def counts(outcomes: Sequence[GateOutcome], elapsed_s: float) -> dict[str, str]:
         statuses = Counter(item.status for item in outcomes)
         failed, unusable = (str(statuses[status]) for status in (GateStatus.FAILED, GateStatus.UNUSABLE))
-        return {"tests": str(len(outcomes)), "failures": failed, "errors": unusable}
+        return {"tests": str(len(outcomes)), "failures": failed, "errors": unusable, "time": f"{elapsed_s:.3f}"}
 
-    root = ElementTree.Element("testsuites", {"name": _clean(found.gates), **counts(found.outcomes)})
+    total_s = sum(found.elapsed_s.values())
+    root = ElementTree.Element("testsuites", {"name": _clean(found.gates), **counts(found.outcomes, total_s)})
     for dive in dict.fromkeys(item.dive for item in found.outcomes):
-        own = [item for item in found.outcomes if item.dive == dive]
+        own, elapsed_s = [item for item in found.outcomes if item.dive == dive], found.elapsed_s.get(dive, 0.0)
         skipped = str(sum(WORDS[item.status][2] == "skipped" for item in own))
-        attributes = {"name": _clean(dive), **counts(own), "skipped": skipped}
+        attributes = {"name": _clean(dive), **counts(own, elapsed_s), "skipped": skipped}
         suite = ElementTree.SubElement(root, "testsuite", attributes)
         for item in own:
-            names = {"classname": _clean(item.dive), "name": _clean(item.gate)}
-            case, reasons = ElementTree.SubElement(suite, "testcase", names), [*map(visible, item.reasons)]
+            place = {"file": _clean(found.gates), **({"line": str(item.line)} if item.line else {})}
+            names = {"classname": _clean(item.dive), "name": _clean(item.gate), "time": f"{elapsed_s / len(own):.3f}"}
+            case, lines = ElementTree.SubElement(suite, "testcase", names | place), [*map(visible, item.explained)]
             if element := WORDS[item.status][2]:
                 kind = {} if element == "skipped" else {"type": item.status}
-                message = {"message": _clean("; ".join(reasons) or item.status), **kind}
-                ElementTree.SubElement(case, element, message).text = _clean("\n".join(reasons))
+                message = {"message": _clean("; ".join(lines) or item.status), **kind}
+                where = [":".join(place.values())] if lines else []
+                ElementTree.SubElement(case, element, message).text = _clean("\n".join([*lines, *where]))
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 
@@ -175,50 +179,49 @@ def github_annotations(found: CheckResult) -> str:
         missed = [item for item in found.outcomes if item.status in statuses]
         listed = missed if len(missed) <= MOST_ANNOTATIONS else missed[: MOST_ANNOTATIONS - 1]
         for item in listed:
-            message = "\n".join(map(visible, item.reasons))
+            message = "\n".join(map(visible, item.explained))
             lines.append(command(level, item.line, f"{item.dive}: {item.gate}", message))
         if hidden := len(missed) - len(listed):
             lines.append(command(level, 0, "more", f"{hidden} more gates did not pass; the log lists them"))
     return "".join(f"{line}\n" for line in (*lines, check_sentence(found)))
 
 
-def baseline_text(
+def update_text(
     changes: Sequence[tuple[str, Finding]],  # dive and cell
 ) -> str:
-    """Return the changes of a new baseline: each new or changed value, and the number of unchanged ones."""
+    """Return the changes of the expected values: each new or changed one, and the number of unchanged ones."""
     moved, shown = 0, list[str]()
     for dive, cell in changes:
         was, now, unit = _values(cell)
         if cell.table == TRAJECTORY:
             moved += not cell.passed
             if not cell.passed:
-                shown.append(f"{dive}: trajectory of {cell.sentence.replace(': is not in the baseline', ' is new')}")
+                shown.append(f"{dive}: trajectory of {cell.sentence.replace(f': {NOT_EXPECTED}', ' is new')}")
             continue
         moved += len(set(_values(cell, 9)[:2])) > 1  # with the digits on which all processors agree
         if was != now:
-            allowed = f", {cell.allowed} allowed" if cell.allowed else ""
-            change = f"changed from {was} to {now}{unit} ({_growth(cell)}{allowed})"
-            shown.append(f"{dive}: {_place(cell)} {f'is new: {now}{unit}' if cell.was is None else change}")
+            new = f"{_place(cell)} is new: {now}{unit}"
+            shown.append(f"{dive}: {new if cell.expected is None else cell.sentence}")
     unseen = f"{moved - len(shown)} changed beyond four digits, " if moved > len(shown) else ""
     count = f"{counted(len(shown), 'value')} new or changed, {unseen}{len(changes) - moved} unchanged"
     return "".join(f"{visible(line)}\n" for line in (*shown, count))
 
 
 def _place(cell: Finding) -> str:
-    return f"{cell.table} {cell.filter} {cell.row}: {cell.column}"
+    return cell_name(cell.table, cell.filter, cell.row, cell.column)
 
 
 def _values(cell: Finding, digits: int = 4) -> tuple[str, str, str]:
-    """Return the baseline's value, the new value, and the unit with a leading blank."""
+    """Return the expected value, the new value, and the unit with a leading blank."""
     was, now = (
         MISSING if value is None else f"{value:.{digits}g}" if isinstance(value, float) else str(value)
-        for value in (cell.was, cell.value)
+        for value in (cell.expected, cell.value)
     )
     return was, now, f" {cell.unit}" if cell.unit else ""
 
 
 def _growth(cell: Finding) -> str:
-    was, now = cell.was, cell.value
+    was, now = cell.expected, cell.value
     if not isinstance(was, int | float) or not isinstance(now, int | float):
         return "changed"
     if cell.column.endswith(PERCENTAGE):

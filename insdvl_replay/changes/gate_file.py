@@ -12,18 +12,21 @@ from typing import Annotated, Final
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from insdvl_replay.core.config_file import converted, read_toml
+from insdvl_replay.changes.cells import PROSE
+from insdvl_replay.core.config_file import converted, read_toml, toml_value
 from insdvl_replay.core.errors import ConfigError, error_context, is_writable, listed, require_known
+from insdvl_replay.core.result import Row
 from insdvl_replay.core.states import COLUMNS, GROUPS
-from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, layout_of
+from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, TableLayout, layout_of
 from insdvl_replay.core.words import GateLevel
 
 ANY: Final = "*"  # every table, filter or row
-LOG: Final = "{log}"  # in the path of a baseline, the dive's name
+LOG: Final = "{log}"  # in the path of expected values, the dive's name
 POOLED: Final = "pooled"  # the table of the evidence pooled over all dives, as in the ``evidence.csv`` of several dives
 TRAJECTORY: Final = "trajectory"  # compared sample by sample
 EXAMPLE: Final = 'table = "improvement", row = "ba_z", column = "improvement_pct", min = 40'
-ON_TRAJECTORY: Final = 'baseline = "baselines/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
+ON_TRAJECTORY: Final = 'expected = "expected/{log}.npz", or within = [0.0, 2.0] with share_pct = 95'
+MOST_NAMES: Final = 20  # of columns in a hint
 LAYOUTS = (*TABLES, CANDIDATES, layout_of(POOLED, PooledRow))
 Allowance = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=100)]
@@ -40,9 +43,9 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     min: float | None = None  # inclusive, as the maximum
     max: float | None = None
     equals: str | int | float | tuple[str | int | float, ...] | None = None  # the allowed value or values
-    baseline: str | None = None  # a stored result, relative to the gate file; ``{log}`` is the dive's name
-    # Allowed loss against the baseline: in percent, or in percentage points if the value is a percentage; and in the
-    # unit of the value. The larger of the two counts.
+    expected: str | None = None  # stored values, relative to the gate file; ``{log}`` is the dive's name
+    # Allowed loss against the expected value: in percent, or in percentage points if the value is a percentage; and in
+    # the unit of the value. The larger of the two counts.
     max_worse_pct: Allowance | None = None
     max_worse_abs: Allowance | None = None
     # Allowed difference of trajectory samples: by column in its unit; relative to the largest value of its group.
@@ -62,6 +65,16 @@ class Gate(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     def wanted(self) -> tuple[str | int | float, ...]:
         """The allowed values."""
         return self.equals if isinstance(self.equals, tuple) else () if self.equals is None else (self.equals,)
+
+    @property
+    def layouts(self) -> list[TableLayout]:
+        """The tables that it may be about."""
+        return [layout for layout in LAYOUTS if self.table in (ANY, layout.name)]
+
+    def is_about(self, name: tuple[str, str, str], row: Row) -> bool:
+        """Return whether it checks a row, by its filter, key and unit."""
+        is_named = self.filter in (ANY, name[0]) and self.row in (ANY, name[1])
+        return is_named and (self.table != ANY or self.column in row)
 
 
 class GateFile(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -97,6 +110,9 @@ def load_gates(path: Path) -> Gates:
     )
     tables = source.content.get("gate")
     for number, table in enumerate(tables if isinstance(tables, list) else [], 1):
+        if isinstance(table, dict) and "baseline" in table:
+            hint = f"expected = {toml_value(table['baseline'])}"
+            raise ConfigError(f"{path}: gate {number}: the key baseline is now expected", hint)
         gate = converted(table, Gate, source, label=f"gate {number}")
         with error_context(f"{path}: gate {number}"):
             _check_gate(gate)
@@ -109,6 +125,11 @@ def load_gates(path: Path) -> Gates:
         raise ConfigError("no gate is active", f"add [[gate]] with {EXAMPLE}, or set a level to error", source.name)
     lines = [number for number, line in enumerate(source.text.split("\n"), 1) if line.lstrip().startswith("[[gate]]")]
     return Gates(path, content, dict(zip(names, lines, strict=True)) if len(lines) == len(names) else {})
+
+
+def is_meant(gate: Gate, dive: str) -> bool:
+    """Return whether a gate applies to a dive, by its name."""
+    return not gate.dives or any(fnmatch.fnmatchcase(dive, pattern) for pattern in gate.dives)
 
 
 def chosen_gates(gates: Gates, only: Sequence[str], skip: Sequence[str]) -> Gates:
@@ -131,12 +152,12 @@ def _check_gate(gate: Gate) -> None:
     name, low, high, band = f"'{gate.name}'", gate.min, gate.max, gate.within
     limits = {key: getattr(gate, key) for key in ("min", "max", "max_worse_pct", "max_worse_abs")}
     endless = [f"{key} = {limit}" for key, limit in limits.items() if limit is not None and not math.isfinite(limit)]
-    no_limits, no_baseline = low is None and high is None and gate.equals is None, gate.baseline is None
+    no_limits, not_stored = low is None and high is None and gate.equals is None, gate.expected is None
     no_allowance = gate.max_worse_pct is None and gate.max_worse_abs is None
     sample_keys = ("within", "share_pct", "longest_outside_s", "at_s", "max_abs", "max_rel")
     foreign = [key for key in sample_keys if getattr(gate, key)]
-    unknown = re.findall(r"\{.*?\}", (gate.baseline or "").replace(LOG, ""))
-    pooled_only = gate.table == POOLED and (not no_baseline or gate.share_of_dives_pct is not None or gate.dives)
+    unknown = re.findall(r"\{.*?\}", (gate.expected or "").replace(LOG, ""))
+    pooled_only = gate.table == POOLED and (not not_stored or gate.share_of_dives_pct is not None or gate.dives)
     is_crossed, on_trajectory = low is not None and high is not None and low > high, gate.table == TRAJECTORY
     example = f"{endless[0].split()[0]} = 40.0" if endless else ""
     rules: list[tuple[object, str, str]] = [
@@ -144,23 +165,27 @@ def _check_gate(gate: Gate) -> None:
         (is_crossed, f"min = {low or 0:g} is above max = {high or 0:g}", "exchange min and max"),
     ]
     if on_trajectory:
-        with_column, with_both = gate.column or not no_limits, band and (not no_baseline or gate.max_abs)
+        with_column, with_both = gate.column or not no_limits, band and (not not_stored or gate.max_abs)
         rules += [
             (with_column, f"{name}: a trajectory has samples and no columns", ON_TRAJECTORY),
-            (with_both, f"{name}: within and baseline cannot be in one gate", "make two gates of it"),
-            (not band and no_baseline, f"{name} has no condition", ON_TRAJECTORY),
+            (with_both, f"{name}: within and expected cannot be in one gate", "make two gates of it"),
+            (not band and not_stored, f"{name} has no condition", ON_TRAJECTORY),
         ]
     else:
         on_samples = f'{name}: {" ".join(foreign[:1])} is for table = "{TRAJECTORY}"'
-        together = f"{name}: baseline needs max_worse_pct or max_worse_abs, and these need baseline"
-        hint = 'baseline = "baselines/{log}.json" with max_worse_pct = 5'
+        together = f"{name}: expected needs max_worse_pct or max_worse_abs, and these need expected"
+        hint = 'expected = "expected/{log}.json" with max_worse_pct = 5'
         rules += [
             (not gate.column, f"{name} names no column", EXAMPLE),
             (foreign, on_samples, "min, max, or max_worse_abs"),
-            (pooled_only, f"{name}: the pooled evidence has no baseline and no single dives", "min, max or equals"),
-            (unknown, f"baseline: {' '.join(unknown[:1])} is not known", f"use {LOG} for the dive's name"),
-            (no_limits and no_baseline, f"{name} has no condition", "add min, max, equals or baseline"),
-            (no_baseline != no_allowance, together, hint),
+            (
+                pooled_only,
+                f"{name}: pooled evidence has no expected values and no single dives",
+                "min, max or equals",
+            ),
+            (unknown, f"expected: {' '.join(unknown[:1])} is not known", f"use {LOG} for the dive's name"),
+            (no_limits and not_stored, f"{name} has no condition", "add min, max, equals or expected"),
+            (not_stored != no_allowance, together, hint),
         ]
     for is_broken, text, hint in rules:
         if is_broken:
@@ -193,7 +218,13 @@ def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
     columns = {
         layout.name: [name for name in layout.columns if name not in ("log", "filter", layout.key)] for layout in named
     }
-    require_known("column", gate.column, list(dict.fromkeys(name for names in columns.values() for name in names)))
+    known = list(dict.fromkeys(name for names in columns.values() for name in names if name not in PROSE))
+    if gate.column in PROSE:
+        raise ConfigError(
+            f"column '{gate.column}' is prose, which any version may write in other words",
+            f"columns for gates: {listed(known, len(known) if gate.table != ANY else MOST_NAMES)}",
+        )
+    require_known("column", gate.column, known)
     layouts = [layout for layout in named if gate.column in columns[layout.name]]
     # The candidates of stored results are not known yet.
     if filters is not None or CANDIDATES not in layouts:
@@ -214,8 +245,8 @@ def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
             raise ConfigError(f"{column} contains words, which have no limits", "use equals")
         if gate.wanted and not any(isinstance(value, str) == words for value in gate.wanted):
             raise ConfigError(f"equals: {column} contains {'words' if words else 'numbers'}, found {gate.equals!r}")
-        if gate.baseline is not None and gate.column not in layout.better:
+        if gate.expected is not None and gate.column not in layout.better:
             raise ConfigError(
-                f"{column} has no better or worse direction, so it cannot have a baseline",
+                f"{column} has no better or worse direction, so it cannot be compared with an expected value",
                 f"one of {', '.join(layout.better)}, or equals, min or max",
             )

@@ -1,11 +1,10 @@
 """Evaluate each gate on each dive.
 
-A missing, empty or non-numeric value never passes. Some gates compare a value, or the whole trajectory, with a stored
-baseline. The last part of this module writes baselines.
+A missing, empty or non-numeric value never passes. Some gates compare a value, or the whole trajectory, with what is
+stored in `expected`.
 """
 
 import difflib
-import fnmatch
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,15 +14,16 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import asdict, replace
 
-from insdvl_replay.changes.cells import agree, judge_cell, named_rows
-from insdvl_replay.changes.gate_file import ANY, LAYOUTS, LOG, POOLED, TRAJECTORY, Gate, Gates
+from insdvl_replay.changes.cells import Moved, agree, cell_name, judge_cell, named_rows, numbers_apart
+from insdvl_replay.changes.expected import expected_of, expected_path, known_causes, stored_values, with_expected
+from insdvl_replay.changes.gate_file import ANY, POOLED, TRAJECTORY, Gate, Gates, is_meant
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
-from insdvl_replay.core.errors import ConfigError, ResultError, UserError, looked_for
-from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport, as_json
+from insdvl_replay.core.errors import ResultError, UserError
+from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
-from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, EvidenceRow, TableLayout
+from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow, TableLayout
 from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus, Verdict
-from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE, read_file, result_file
+from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE
 from insdvl_replay.results.stored_results import read_results
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from insdvl_replay.results.trajectory import Trajectory
 
 EVERY_DIVE: Final = "*"  # instead of the name of a dive
+NOT_EXPECTED: Final = "is not in the expected trajectory"
 SAME: Final = 1e-9  # relative difference of samples, over the largest value of a group, from rounding of processors
 # Further cells that state a gain or loss against the baseline.
 OF_GAIN: Final = frozenset(
@@ -49,12 +50,12 @@ class Finding(Struct, frozen=True):
     filter: str
     row: str
     column: str
-    was: Cell  # the baseline's value, if the gate has one
+    expected: Cell  # the stored value, if the gate compares with one
     value: Cell  # None if missing
     sentence: str  # the value and the condition
     passed: bool
     unit: str = ""  # of the two values
-    allowed: str = ""  # allowed loss against the baseline
+    limit: str = ""  # allowed loss against the expected value
 
 
 class GateOutcome(Struct, frozen=True):
@@ -66,7 +67,13 @@ class GateOutcome(Struct, frozen=True):
     reasons: tuple[str, ...] = ()  # why it did not pass, one sentence each
     findings: tuple[Finding, ...] = ()
     line: int = 0  # line of the gate in its file; 0 if unknown
-    is_trajectory: bool = False  # the gate compares the trajectory with its baseline
+    is_trajectory: bool = False  # the gate compares the trajectory with the expected one
+    causes: tuple[str, ...] = ()  # known causes of a failure, one sentence each
+
+    @property
+    def explained(self) -> tuple[str, ...]:
+        """The reasons, then the known causes."""
+        return (*self.reasons, *self.causes)
 
 
 class CheckResult(Struct, frozen=True):
@@ -75,6 +82,7 @@ class CheckResult(Struct, frozen=True):
     gates: str  # the gate file
     outcomes: tuple[GateOutcome, ...]  # failures first, then in the order of dives and gates
     words: dict[str, dict[str, int]] = {}  # by filter, number of dives with each verdict
+    elapsed_s: dict[str, float] = {}  # time of the replay, by dive
 
     def count(self, status: GateStatus) -> int:
         """Count the outcomes of a status."""
@@ -100,7 +108,7 @@ def checked_replay(folder: Path, result: Report | Exception) -> Checked:
 
 
 def checked_results(folder: Path) -> Iterator[Checked]:
-    """Yield stored results to check; the name of the log becomes part of the path of a baseline."""
+    """Yield stored results to check; the name of the log becomes part of the path of its expected values."""
     try:
         for result in read_results(folder)[0]:
             if is_dive_name(result.name):
@@ -117,20 +125,18 @@ def checked_results(folder: Path) -> Iterator[Checked]:
 
 def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
     """Evaluate every gate on the dives it applies to, and gates on the pooled evidence on all together."""
-    outcomes = [
-        _evaluated(gates, gate, dive)
-        for dive in dives
-        for gate in gates.content.gate
-        if gate.table != POOLED and is_meant(gate, dive.name)
-    ]
+    outcomes = list[GateOutcome]()
+    for dive in dives:
+        own = [gate for gate in gates.content.gate if gate.table != POOLED and is_meant(gate, dive.name)]
+        outcomes += _with_causes(gates, dive, [_evaluated(gates, gate, dive) for gate in own])
     for gate in gates.content.gate:
         if gate.table == POOLED:
             outcomes.append(_evaluated(gates, gate, pooled_dive(dives)))
-        share_pct, own = gate.share_of_dives_pct, [item for item in outcomes if item.gate == gate.name]
-        passed = sum(item.status == GateStatus.PASSED for item in own)
+        share_pct, of_gate = gate.share_of_dives_pct, [item for item in outcomes if item.gate == gate.name]
+        passed = sum(item.status == GateStatus.PASSED for item in of_gate)
         # Failures on single dives are warnings if enough dives passed.
-        if share_pct is not None and own and 100.0 * passed >= share_pct * len(own):
-            reason = f"passed on {passed} of {len(own)} dives, required: {share_pct:g} %"
+        if share_pct is not None and of_gate and 100.0 * passed >= share_pct * len(of_gate):
+            reason = f"passed on {passed} of {len(of_gate)} dives, required: {share_pct:g} %"
             outcomes = [
                 replace(item, status=GateStatus.WARNING, reasons=(*item.reasons, reason))
                 if item.gate == gate.name and item.status == GateStatus.FAILED
@@ -139,16 +145,14 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
             ]
     outcomes.sort(key=lambda item: list(GateStatus).index(item.status))
     words: dict[str, dict[str, int]] = {}
+    elapsed_s = dict[str, float]()
     for dive in dives:
+        if isinstance(dive.result, StoredReport) and _is_number(seconds := dive.result.tool.get("elapsed_s")):
+            elapsed_s[dive.name] = float(seconds)
         for name, candidate in (dive.result.filters if isinstance(dive.result, StoredReport) else {}).items():
             counts, word = words.setdefault(name, {}), str(candidate.get("verdict", ""))
             counts[word] = counts.get(word, 0) + 1
-    return CheckResult(str(gates.path), tuple(outcomes), words)
-
-
-def is_meant(gate: Gate, dive: str) -> bool:
-    """Return whether a gate applies to a dive, by its name."""
-    return not gate.dives or any(fnmatch.fnmatchcase(dive, pattern) for pattern in gate.dives)
+    return CheckResult(str(gates.path), tuple(outcomes), words, elapsed_s)
 
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
@@ -169,8 +173,17 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
     return Checked(EVERY_DIVE, StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline))
 
 
+def _with_causes(gates: Gates, dive: Checked, outcomes: list[GateOutcome]) -> list[GateOutcome]:
+    """Add the known causes to the gates of a dive that did not pass."""
+    missed = (GateStatus.FAILED, GateStatus.WARNING)
+    if not (isinstance(dive.result, StoredReport) and any(item.status in missed for item in outcomes)):
+        return outcomes
+    causes = known_causes(gates, dive.name, dive.result)
+    return [replace(item, causes=causes) if item.status in missed else item for item in outcomes]
+
+
 def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
-    held = gate.table == TRAJECTORY and gate.baseline is not None
+    held = gate.table == TRAJECTORY and gate.expected is not None
     outcome = GateOutcome(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0), is_trajectory=held)
     if gate.level == GateLevel.OFF:
         return replace(outcome, is_trajectory=False)
@@ -178,8 +191,8 @@ def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
         return replace(outcome, status=GateStatus.UNUSABLE, reasons=(str(dive.result),))
     findings: tuple[Finding, ...] = ()
     try:
-        baseline = None if gate.baseline is None else _baseline(gates, gate, dive.result.log)
-        findings = _findings(gate, dive, dive.result, baseline)
+        expected = None if gate.expected is None else expected_of(gates, gate, dive.result.log)
+        findings = _findings(gate, dive, dive.result, expected)
         reasons = tuple(finding.sentence for finding in findings if not finding.passed)
     except UserError as error:
         reasons = (f"{error.message}; {error.hint}",)
@@ -187,10 +200,10 @@ def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
     return replace(outcome, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings)
 
 
-def _findings(gate: Gate, dive: Checked, report: StoredReport, baseline: Any) -> tuple[Finding, ...]:
+def _findings(gate: Gate, dive: Checked, report: StoredReport, expected: Any) -> tuple[Finding, ...]:
     if gate.table == TRAJECTORY:
-        return trajectory_findings(gate, _trajectory(dive), baseline)
-    return gate_findings(gate, report, baseline)
+        return trajectory_findings(gate, _trajectory(dive), expected)
+    return gate_findings(gate, report, expected)
 
 
 def _trajectory(dive: Checked) -> "Trajectory | None":
@@ -202,40 +215,35 @@ def _trajectory(dive: Checked) -> "Trajectory | None":
 # --- Gates on cells.
 
 
-def _layouts(gate: Gate) -> list[TableLayout]:
-    return [layout for layout in LAYOUTS if gate.table in (ANY, layout.name)]
-
-
-def _means(gate: Gate, name: tuple[str, str, str], row: Row) -> bool:
-    is_named = gate.filter in (ANY, name[0]) and gate.row in (ANY, name[1])
-    return is_named and (gate.table != ANY or gate.column in row)
-
-
-def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | None) -> tuple[Finding, ...]:
+def gate_findings(gate: Gate, report: StoredReport, expected: StoredReport | None) -> tuple[Finding, ...]:
     """Return a finding for each cell that a gate checks; one failed finding if it checks none."""
     findings, column = list[Finding](), gate.column
-    for layout in _layouts(gate):
-        rows, before = named_rows(report, layout), named_rows(baseline, layout) if baseline else {}
-        # A star in the gate also checks rows that only the baseline has.
-        for name in dict.fromkeys((*rows, *before)):
-            row, was = rows.get(name, {}), before.get(name, {})
-            if not _means(gate, name, row or was):
+    for layout in gate.layouts:
+        rows, stored = named_rows(report, layout), named_rows(expected, layout) if expected else {}
+        # A star in the gate also checks rows that only the expected values have.
+        for name in dict.fromkeys((*rows, *stored)):
+            row, was = rows.get(name, {}), stored.get(name, {})
+            if not gate.is_about(name, row or was):
                 continue
             old, value, unit = was.get(column), row.get(column), layout.unit_of(column, name[2])
-            statement = f"{value_text(value)}{f' {unit}' if unit else ''}"
-            statement = f"is {statement}" if old is None else f"changed from {value_text(old)} to {statement}"
-            complaint = f"is missing, and so is its row; the baseline has {value_text(old)}"
+            limit, complaint = "", f"is missing, and so is its row; expected: {value_text(old)}"
+            statement = f"is {value_text(value)}{f' {unit}' if unit else ''}"
             if row:
+                moved = None
+                if gate.expected is not None and _is_number(old) and _is_number(value):
+                    moved = judge_cell(was, row, column, layout, gate.max_worse_pct, gate.max_worse_abs)
+                    limit = _limit(gate, layout, unit)
+                    statement = _moved_text(old, value, unit, column, moved, limit)
                 is_evaluated = report.filters.get(name[0], {}).get("verdict") != Verdict.NOT_EVALUATED
-                complaints = _complaints(gate, layout, row, was, unit, statement, is_evaluated=is_evaluated)
+                complaints = _complaints(gate, layout, row, moved, unit, statement, is_evaluated=is_evaluated)
                 complaint = "; ".join(complaints)
-            sentence = f"{layout.name} {' '.join(dict.fromkeys(name[:2]))}: {column} {complaint or statement}"
-            end = (unit, _allowed(gate)) if row else ()
-            findings.append(Finding(layout.name, *name[:2], column, old, value, sentence, not complaint, *end))
+            sentence = f"{cell_name(layout.name, *name[:2], column, report.baseline)} {complaint or statement}"
+            place = layout.name, *name[:2], column
+            findings.append(Finding(*place, old, value, sentence, not complaint, unit if row else "", limit))
     if findings:
         return tuple(findings)
     # Suggest a similar name.
-    names, nearest = [name for layout in _layouts(gate) for name in named_rows(report, layout)], list[str]()
+    names, nearest = [name for layout in gate.layouts for name in named_rows(report, layout)], list[str]()
     for wanted, known in ((gate.filter, {name[0] for name in names}), (gate.row, {name[1] for name in names})):
         if wanted not in (ANY, *known):
             nearest = difflib.get_close_matches(wanted, sorted(known), n=1, cutoff=0.5)
@@ -247,10 +255,10 @@ def gate_findings(gate: Gate, report: StoredReport, baseline: StoredReport | Non
 
 
 def _complaints(
-    gate: Gate, layout: TableLayout, row: Row, was: Row, unit: str, statement: str, *, is_evaluated: bool
+    gate: Gate, layout: TableLayout, row: Row, moved: Moved | None, unit: str, statement: str, *, is_evaluated: bool
 ) -> Iterator[str]:
     """Yield the reasons why a cell does not pass."""
-    column, value, old = gate.column, row.get(gate.column), was.get(gate.column)
+    column, value = gate.column, row.get(gate.column)
     # A gain or loss fails if the filter is not evaluated; the verdict itself can pass.
     is_relative = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_relative and column in layout.better)
@@ -278,18 +286,14 @@ def _complaints(
             break
         if not (sign * (value - limit) >= 0.0 or agree(value, limit, column)):
             yield f"is {value_text(value)}{f' {unit}' if unit else ''}, required: at {name} {value_text(limit)}"
-    if gate.baseline is None:
+    if gate.expected is None:
         return
-    if not (_is_number(old) and _is_number(value)):
-        yield "has no number in the baseline"
-        return
-    moved = judge_cell(was, row, column, layout, gate.max_worse_pct, gate.max_worse_abs)
-    if moved.better is None:
-        yield "cannot be compared: degrees of freedom (dof) are missing here or in the baseline"
+    if moved is None:
+        yield "has no expected number"
+    elif moved.better is None:
+        yield "cannot be compared: degrees of freedom (dof) are missing here or in the expected values"
     elif moved.verdict == ChangeVerdict.WORSE:
-        pct = moved.change_pct
-        amount = "by more than any percentage" if pct is None else f"by {abs(pct):.3g} {_percent(column)}"
-        yield f"{statement}: worse {amount}, allowed: {_allowed(gate)}"
+        yield statement
 
 
 def _is_number(value: Cell) -> TypeGuard[float | int]:
@@ -297,14 +301,24 @@ def _is_number(value: Cell) -> TypeGuard[float | int]:
     return isinstance(value, float | int) and not isinstance(value, bool)
 
 
-def _allowed(gate: Gate) -> str:
-    percent = "" if gate.max_worse_pct is None else f"{gate.max_worse_pct:g} {_percent(gate.column)}"
-    absolute = "" if gate.max_worse_abs is None else f"{gate.max_worse_abs:g}"
+def _moved_text(old: float, new: float, unit: str, column: str, moved: Moved, limit: str) -> str:
+    """Write a change against the expected value with its limit, such as ``1.54 -> 3.27 m (+112 %, limit +5 %)``."""
+    of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(moved.better or "", "")
+    growth = [] if moved.change_pct is None else [f"{moved.change_pct:+.3g} {_percent(column)}{of_size}"]
+    pair = " -> ".join(numbers_apart(old, new))
+    return f"{pair}{f' {unit}' if unit else ''} ({', '.join([*growth, f'limit {limit}'])})"
+
+
+def _limit(gate: Gate, layout: TableLayout, unit: str) -> str:
+    """Write the allowed loss with the sign of a loss."""
+    sign = "-" if layout.better.get(gate.column) == "higher" else "+"
+    percent = "" if gate.max_worse_pct is None else f"{sign}{gate.max_worse_pct:g} {_percent(gate.column)}"
+    absolute = "" if gate.max_worse_abs is None else f"{sign}{gate.max_worse_abs:g}{f' {unit}' if unit else ''}"
     return " or ".join(filter(None, (percent, absolute)))
 
 
 def _percent(column: str) -> str:
-    return "percentage points" if column.endswith(PERCENTAGE) else "%"
+    return "points" if column.endswith(PERCENTAGE) else "%"
 
 
 def value_text(value: Cell) -> str:
@@ -318,7 +332,7 @@ def value_text(value: Cell) -> str:
 def trajectory_findings(
     gate: Gate,
     new: "Trajectory | None",  # of the result; None if it has none
-    old: "Trajectory | None",  # of the baseline, for a gate that compares with it
+    old: "Trajectory | None",  # the expected one, for a gate that compares with it
 ) -> tuple[Finding, ...]:
     """Return a finding for each filter that a gate checks; one failed finding if it checks none."""
     meant = [name for name in new.names if gate.filter in (ANY, name)] if new else []
@@ -333,20 +347,20 @@ def trajectory_findings(
         findings.append(Finding(TRAJECTORY, name, row, "", None, None, f"{name}: {sentence}", passed))
     for name in old.names if old else ():
         if name not in new.names and gate.filter in (ANY, name):
-            sentence = f"{name}: is missing, the baseline has it"
+            sentence = f"{name}: is missing, and expected"
             findings.append(Finding(TRAJECTORY, name, gate.row, "", None, None, sentence, passed=False))
     return tuple(findings)
 
 
 def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str) -> tuple[str, str, bool]:
-    """Return the first quantity that differs from the baseline, a sentence, and whether it passed."""
+    """Return the first quantity that differs from the expected trajectory, a sentence, and whether it passed."""
     import numpy as np
 
     samples = len(new.time_s)
     if old is None or name not in old.names:
-        return gate.row, "is not in the baseline", False
+        return gate.row, NOT_EXPECTED, False
     if not np.array_equal(new.time_s, old.time_s):
-        return gate.row, f"has {samples} samples, the baseline has {len(old.time_s)} at other times", False
+        return gate.row, f"has {samples} samples, expected: {len(old.time_s)} at other times", False
     before, after = (trajectory.values[trajectory.names.index(name)] for trajectory in (old, new))  # (k, columns)
     with np.errstate(invalid="ignore"):
         apart = np.abs(np.where(before == after, 0.0, after - before))
@@ -403,103 +417,16 @@ def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, st
     return gate.row, sentence, not complaints
 
 
-# --- Baselines.
-
-
-def baseline_path(gates: Gates, gate: Gate, dive: str) -> Path:
-    """Return where the baseline of a dive is stored."""
-    return gates.path.parent / (gate.baseline or "").replace(LOG, dive)
-
-
-def _stored_baseline(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
-    """Read a baseline; None if there is none, or the file is something else."""
-    if gate.table == TRAJECTORY:
-        from insdvl_replay.results.trajectory import read_trajectory
-
-        return read_trajectory(path)
-    try:
-        return read_results(path)[0][0].report
-    except UserError:
-        return None
-
-
-def _baseline(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Trajectory":
-    """Return the baseline of a log; the ConfigError names the command that writes it."""
-    path, command = baseline_path(gates, gate, log.name), f"`insdvl-replay check {gates.path} --update`"
-    with looked_for(path):
-        if not path.is_file():
-            raise ConfigError(f"{path}: there is no baseline yet", f"{command} writes it")
-    baseline = _stored_baseline(gate, path)
-    if baseline is None:
-        kind = "trajectory" if gate.table == TRAJECTORY else "result"
-        raise ConfigError(f"{path}: is not a readable {kind}", f"{command} writes a new one")
-    if (baseline.log.sha256 if isinstance(baseline, StoredReport) else baseline.sha256) != log.sha256:
-        raise ConfigError(f"{path}: the baseline is of another log than {log.name}", f"{command} writes a new one")
-    return baseline
-
-
-def compare_with_baselines(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
-    """Return dive and cell of every gate with a baseline, compared with the stored value, if any."""
+def compare_with_expected(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
+    """Return dive and cell of every gate with expected values, compared with what is stored, if anything is."""
     found = list[tuple[str, Finding]]()
-    for gate, dive, result in _with_baseline(gates, dives):
-        baseline = _stored_baseline(gate, baseline_path(gates, gate, dive.name))
-        if gate.table == TRAJECTORY and baseline is None:
+    for gate, dive, result in with_expected(gates, dives):
+        expected = stored_values(gate, expected_path(gates, gate, dive.name))
+        if gate.table == TRAJECTORY and expected is None:
             from insdvl_replay.results.trajectory import Trajectory
 
             new = _trajectory(dive)
             assert new is not None
-            baseline = Trajectory(new.sha256, (), new.time_s, new.values[:0])  # an empty baseline
-        found += [(dive.name, finding) for finding in _findings(gate, dive, result, baseline)]
+            expected = Trajectory(new.sha256, (), new.time_s, new.values[:0])  # without filters
+        found += [(dive.name, finding) for finding in _findings(gate, dive, result, expected)]
     return found
-
-
-def write_baselines(gates: Gates, dives: Sequence[Checked]) -> list[Path]:
-    """Store the gated values and trajectories as baselines; return the files."""
-    written: dict[Path, tuple[Checked, StoredReport, list[Gate]]] = {}
-    for gate, dive, result in _with_baseline(gates, dives):
-        path = baseline_path(gates, gate, dive.name)
-        owner, _, sharing = written.setdefault(path, (dive, result, []))
-        if owner is not dive:
-            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name")
-        if sharing and (sharing[0].table == TRAJECTORY) != (gate.table == TRAJECTORY):
-            raise ConfigError(
-                f"{gates.where(gate)}: a trajectory and tables share {path}", "use a separate file for the trajectory"
-            )
-        sharing.append(gate)
-    for path, (dive, result, sharing) in written.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with result_file(path, force=True) as file:
-            if sharing[0].table == TRAJECTORY:
-                assert dive.folder is not None
-                file.write_bytes(read_file(dive.folder / TRAJECTORY_FILE))
-            else:
-                file.write_bytes(as_json(_gated_values(result, sharing)))
-    return list(written)
-
-
-def _with_baseline(gates: Gates, dives: Sequence[Checked]) -> Iterator[tuple[Gate, Checked, StoredReport]]:
-    for gate in gates.content.gate:
-        if gate.baseline is not None and gate.level != GateLevel.OFF:
-            for dive in dives:
-                if isinstance(dive.result, StoredReport) and is_meant(gate, dive.name):
-                    yield gate, dive, dive.result
-
-
-def _gated_values(report: StoredReport, gates: Sequence[Gate]) -> dict[str, Any]:
-    """Return the gated values with their names and what a comparison needs, readable in a review."""
-    tables: dict[str, dict[tuple[str, str, str], Row]] = {}
-    for gate in gates:
-        for layout in _layouts(gate):
-            needed = ("log", "filter", layout.key, "unit", "dof", "evidence", gate.column)
-            for name, row in named_rows(report, layout).items():
-                if _means(gate, name, row):
-                    kept = tables.setdefault(layout.name, {}).setdefault(name, {})
-                    kept.update({column: row[column] for column in needed if column in row})
-    candidates = tables.pop(CANDIDATES.name, {}).values()
-    return {
-        "tool": {name: report.tool[name] for name in ("name", "version") if name in report.tool},
-        "log": {"name": report.log.name, "sha256": report.log.sha256},
-        "tables": {name: list(rows.values()) for name, rows in tables.items()},
-        "baseline": report.baseline,
-        "filters": {str(row["filter"]): row for row in candidates},
-    }

@@ -89,7 +89,7 @@ def check(
         ),
     ] = [],
     update: Annotated[
-        bool, typer.Option("--update", help="Show what changed, then store it as the new baseline.")
+        bool, typer.Option("--update", help="Show what changed, then store the new values as expected.")
     ] = False,
     results: Annotated[
         Path,
@@ -149,6 +149,7 @@ def check(
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
     from insdvl_replay.changes import formats
     from insdvl_replay.changes import gates as gating
+    from insdvl_replay.changes.expected import write_expected
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, require_known_names
     from insdvl_replay.cli.run import outcomes
     from insdvl_replay.core.config_file import load_config
@@ -197,11 +198,11 @@ def check(
                 checked += gating.checked_results(path)
     codes = [log_failure(result, verbose) for _, result, _ in checked if isinstance(result, Exception)]
     if update:
-        if all(gate.baseline is None for gate in content.gate):
-            raise ConfigError(f"{gates}: no gate has a baseline", 'baseline = "baselines/{log}.json"')
-        write_stdout(formats.baseline_text(gating.compare_with_baselines(chosen, checked)))
-        for baseline in gating.write_baselines(chosen, checked):
-            log_to_stderr(f"wrote {baseline}")
+        if all(gate.expected is None for gate in content.gate):
+            raise ConfigError(f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"')
+        write_stdout(formats.update_text(gating.compare_with_expected(chosen, checked)))
+        for file in write_expected(chosen, checked):
+            log_to_stderr(f"wrote {file}")
     found = gating.evaluate_gates(chosen, checked)
 
     # Output
@@ -223,5 +224,5 @@ def check(
     codes += [GATE_FAILED] * found.count(GateStatus.FAILED)
     if codes:
         first = found.outcomes[0]
-        log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.reasons)}")
+        log_to_stderr(f"error: {sentence}; the first: {first.dive}: {first.gate}: {'; '.join(first.explained)}")
     return max(codes, default=0)

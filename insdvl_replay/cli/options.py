@@ -33,7 +33,7 @@ def _names(module: str, names: str) -> Callable[[str], list[str]]:
 grade_names = _names("sim.sensor_errors", "GRADES")
 Format = Literal["table", "json", "csv", "md", "latex"]
 PageFormat = Literal["table", "json", "csv", "md", "latex", "html"]
-CheckFormat = Literal["text", "md", "json", "junit", "github"]
+CheckFormat = Literal["text", "md", "json", "junit", "github", "html"]
 Color = Literal["auto", "always", "never"]
 
 PrintedAs = Annotated[Format, typer.Option("--format", help="Output format.")]

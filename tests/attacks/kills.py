@@ -37,7 +37,7 @@ def fresh(folder: Path) -> None:
     (folder / "dives").mkdir(parents=True)
     for name in ("lost_beam", "transit"):
         shutil.copy(archive / "dives" / f"{name}.mcap", folder / "dives")
-    shutil.copytree(archive / "baselines", folder / "baselines")
+    shutil.copytree(archive / "expected", folder / "expected")
     (folder / "gates.toml").write_text(GATES, "utf-8")
 
 
@@ -89,7 +89,7 @@ def _killed(folder: Path, name: str, number: signal.Signals, delay_s: float) -> 
 def _judged(folder: Path, name: str, number: signal.Signals, code: int, left: list[int]) -> str:
     if left:
         return "processes left"
-    if half_written(folder / "results") or not all(map(_whole, (folder / "baselines").glob("*.json"))):
+    if half_written(folder / "results") or not all(map(_whole, (folder / "expected").glob("*.json"))):
         return "half written"
     if name == "run --force" and not (folder / "results" / "lost_beam").is_dir() and not hidden(folder):
         return "older result lost"

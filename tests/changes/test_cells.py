@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from insdvl_replay.changes.cells import judge_number, prints_the_same, rank_verdict
+from insdvl_replay.changes.cells import judge_number, numbers_apart, prints_the_same, rank_verdict
 from insdvl_replay.core.quantities import VERDICTS_BEST_FIRST
 from insdvl_replay.core.tables import Better
 from insdvl_replay.show.document import number, percent
@@ -99,3 +99,9 @@ def test_numbers_that_print_two_digits_apart_are_not_the_same(value: float) -> N
 )
 def test_verdicts_have_a_rank(old: str, new: str | None, word: str) -> None:
     assert rank_verdict(old, new, VERDICTS_BEST_FIRST) == word
+
+
+def test_two_numbers_have_as_many_digits_as_it_takes_to_tell_them_apart() -> None:
+    assert numbers_apart(1.5432, 3.2711) == ("1.54", "3.27")
+    assert numbers_apart(0.4, 0.400001) == ("0.4", "0.400001")
+    assert numbers_apart(0.4, 0.4) == ("0.4", "0.4")

@@ -1,4 +1,4 @@
-"""`insdvl-replay check`: exit codes, baselines, and output as those read it for whom it is written."""
+"""`insdvl-replay check`: exit codes, expected values, and output as those read it for whom it is written."""
 
 import contextlib
 import io
@@ -38,12 +38,12 @@ min = 40
 NAME = "ba_z converges"
 FAILING = PASSING.replace("converges", "converges fully").replace("40", "99")
 WARNING = FAILING + 'level = "warn"\n'
-BASELINE = """
+EXPECTED = """
 [[gate]]
 name = "no state becomes less certain"
 table = "improvement"
 column = "sd"
-baseline = "baselines/{log}.json"
+expected = "expected/{log}.json"
 max_worse_pct = 1
 """
 
@@ -87,8 +87,8 @@ def check(folder: Path, gates: str, *arguments: str, dives: str = '["dives/*.mca
 
 
 def counts(told: str) -> list[int]:
-    """Return the numbers of the last line: gates, dives, and how many of each status in their order."""
-    return [int(number) for number in re.findall(r"\b\d+\b", told.splitlines()[-1])]
+    """Return the numbers of the first line: gates, dives, and how many of each status in their order."""
+    return [int(number) for number in re.findall(r"\b\d+\b", told.splitlines()[0])]
 
 
 # --- Exit codes.
@@ -103,9 +103,9 @@ def test_all_passed_is_0(team: Path) -> None:
 def test_one_failed_is_1_and_says_the_number_and_its_limit(team: Path) -> None:
     done = started(team, PASSING + FAILING)
     assert done.returncode == 1
-    first, reason, *_ = done.stdout.splitlines()
+    _, _, first, reason, *_ = done.stdout.splitlines()
     assert first.split() == ["FAILED", "outage:", *NAME.split(), "fully"]
-    assert re.fullmatch(r" +improvement aided ba_z: improvement_pct .*\d\.\d+ %.* 99", reason)
+    assert re.fullmatch(r" +aided accelerometer bias z improvement .*\d\.\d+ %.* 99", reason)
     last = done.stderr.splitlines()[-1]
     assert last.startswith("error: ")
     assert counts(last)[:4] == [2, 2, 2, 2]
@@ -119,10 +119,10 @@ def test_only_warnings_is_0_but_no_pass(team: Path) -> None:
     assert done.stdout.count("WARNING  ") == 2
 
 
-def test_a_missing_baseline_is_1_and_names_the_command(team: Path) -> None:
-    done = check(team, BASELINE)
+def test_missing_expected_values_are_1_and_names_the_command(team: Path) -> None:
+    done = check(team, EXPECTED)
     assert done.returncode == 1
-    assert "baselines/transit.json: " in done.stdout
+    assert "expected/transit.json: " in done.stdout
     assert "`insdvl-replay check gates.toml --update`" in done.stdout
 
 
@@ -221,14 +221,14 @@ def test_a_dive_whose_results_are_not_numbers_fails(tmp_path: Path) -> None:
     write(tmp_path / "dive", report)
     done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "dive")
     assert done.returncode == 1
-    assert re.search(r"improvement aided ba_x: improvement_pct .*\(not finite\)", done.stdout)
+    assert re.search(r"aided accelerometer bias x improvement .*\(not finite\)", done.stdout)
 
 
 def test_a_result_that_cannot_be_read_is_3(tmp_path: Path) -> None:
     write(tmp_path / "dive", {"tables": 1})
     done = check(tmp_path, PASSING, "dive")
     assert done.returncode == 3
-    assert done.stdout.startswith("NO RESULT  dive: ba_z converges\n    dive/report.json: ")
+    assert "\nNO RESULT  dive: ba_z converges\n    dive/report.json: " in done.stdout
 
 
 @pytest.mark.parametrize("column", ["filter", "state"])
@@ -240,95 +240,117 @@ def test_a_result_with_a_row_without_a_name_does_not_stop_the_others(column: str
     done = check(tmp_path, PASSING.replace("ba_z", "ba_x"), "broken", "dive")
     assert done.returncode == 3
     place = "broken/report.json: table improvement, row 2: "
-    assert re.match(rf"NO RESULT  broken: ba_x converges\n    {place}.* {column}\n", done.stdout)
+    assert re.search(rf"\nNO RESULT  broken: ba_x converges\n    {place}.* {column}\n", done.stdout)
     assert counts(done.stdout) == [1, 2, 1, 1]
-    (tmp_path / "baselines").mkdir()
-    shutil.copy(tmp_path / "broken" / "report.json", tmp_path / "baselines" / "dive.json")
-    done = check(tmp_path, BASELINE, "dive")
+    (tmp_path / "expected").mkdir()
+    shutil.copy(tmp_path / "broken" / "report.json", tmp_path / "expected" / "dive.json")
+    done = check(tmp_path, EXPECTED, "dive")
     assert done.returncode == 1
-    assert "baselines/dive.json: " in done.stdout
+    assert "expected/dive.json: " in done.stdout
 
 
-# --- Baselines.
+# --- Expected values.
 
 
 def test_update_shows_what_moves_before_it_writes_it(team: Path) -> None:
-    first = check(team, BASELINE + PASSING, "--update")
+    first = check(team, EXPECTED + PASSING, "--update")
     assert first.returncode == 0, first.stderr
-    assert "transit: improvement aided ba_z: sd " in first.stdout
-    assert first.stderr == "wrote baselines/outage.json\nwrote baselines/transit.json\n"
-    again = check(team, BASELINE + PASSING, "--update")
+    assert "transit: aided accelerometer bias z sd is new: " in first.stdout
+    assert first.stderr == "wrote expected/outage.json\nwrote expected/transit.json\n"
+    again = check(team, EXPECTED + PASSING, "--update")
     assert re.findall(r"\d+", again.stdout.splitlines()[0]) == ["0", "24"]
-    assert check(team, BASELINE).returncode == 0
+    assert check(team, EXPECTED).returncode == 0
 
-    worse = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4")
+    worse = check(team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.4")
     assert worse.returncode == 1
-    assert re.search(r"aided ba_z: sd .*[\d.]+ .*[\d.]+ mg.* [\d.]+ %.*\b1 %", worse.stdout)
-    taken = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--update")
+    sentence = r"aided accelerometer bias z sd [\d.]+ -> [\d.]+ mg \(\+[\d.]+ %, limit \+1 %\)"
+    assert re.search(sentence, worse.stdout)
+    taken = check(team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.4", "--update")
     assert taken.returncode == 0
-    assert re.search(
-        r"^outage: improvement aided ba_z: sd .*[\d.]+ .*[\d.]+ mg \(\+[\d.]+ %, 1 %.*\)$",
-        taken.stdout,
-        re.MULTILINE,
-    )
-    assert check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4").returncode == 0
+    assert re.search(rf"^outage: {sentence}$", taken.stdout, re.MULTILINE)
+    assert check(team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.4").returncode == 0
 
 
-def test_a_baseline_holds_no_time_of_day(team: Path) -> None:
-    assert check(team, BASELINE, "--update").returncode == 0
-    first = (team / "baselines" / "transit.json").read_bytes()
-    assert check(team, BASELINE, "--update", "--rerun").returncode == 0
-    assert (team / "baselines" / "transit.json").read_bytes() == first
+def test_a_failure_names_the_settings_that_differ_from_the_stored_ones(team: Path) -> None:
+    trajectory = '[[gate]]\nname = "nothing changes"\ntable = "trajectory"\nexpected = "expected/{log}.npz"\n'
+    for gates in (EXPECTED, trajectory):
+        assert check(team, gates, "--set", "dvl.scale=1.0002", "--update").returncode == 0
+        for format_ in ("text", "junit", "json", "md", "github"):
+            done = check(team, gates + FAILING, "--set", "dvl.scale=1.02", "--format", format_)
+            assert done.returncode == 1
+            assert re.search(r"settings differ: dvl\.scale 1\.0002 -(>|&gt;|&lt;) 1\.02\b", done.stdout), format_
+        unchanged = check(team, gates + FAILING, "--set", "dvl.scale=1.0002")
+        assert unchanged.returncode == 1
+        assert "differ" not in unchanged.stdout
 
 
-def test_a_baseline_of_another_log_does_not_count(team: Path) -> None:
-    assert check(team, BASELINE, "--update").returncode == 0
-    shutil.copy(team / "baselines" / "outage.json", team / "baselines" / "transit.json")
-    done = check(team, BASELINE)
+def test_a_failure_names_another_version_and_another_log(tmp_path: Path) -> None:
+    write(tmp_path / "dive", content())
+    check(tmp_path, EXPECTED, "dive", "--update")
+    report = content(sha256="another", ba_x_sd=2.0)
+    report["tool"]["version"] = "0.2.0"
+    write(tmp_path / "dive", report)
+    done = check(tmp_path, EXPECTED, "dive")
     assert done.returncode == 1
-    assert "baselines/transit.json: " in done.stdout
-    assert "baselines/outage.json" not in done.stdout
+    assert "version of the tool differs: 0.1.0 -> 0.2.0" in done.stdout
+    assert "the log differs: SHA-256 hash of dive -> another" in done.stdout
 
 
-def test_a_broken_baseline_is_reported_and_made_again(team: Path) -> None:
-    (team / "baselines").mkdir()
-    (team / "baselines" / "transit.json").write_text('{"tool": ')
-    done = check(team, BASELINE)
+def test_expected_values_hold_no_time_of_day(team: Path) -> None:
+    assert check(team, EXPECTED, "--update").returncode == 0
+    first = (team / "expected" / "transit.json").read_bytes()
+    assert check(team, EXPECTED, "--update", "--rerun").returncode == 0
+    assert (team / "expected" / "transit.json").read_bytes() == first
+
+
+def test_expected_values_of_another_log_do_not_count(team: Path) -> None:
+    assert check(team, EXPECTED, "--update").returncode == 0
+    shutil.copy(team / "expected" / "outage.json", team / "expected" / "transit.json")
+    done = check(team, EXPECTED)
+    assert done.returncode == 1
+    assert "expected/transit.json: " in done.stdout
+    assert "expected/outage.json" not in done.stdout
+
+
+def test_broken_expected_values_are_reported_and_made_again(team: Path) -> None:
+    (team / "expected").mkdir()
+    (team / "expected" / "transit.json").write_text('{"tool": ')
+    done = check(team, EXPECTED)
     assert done.returncode == 1
     assert "transit.json: " in done.stdout
-    assert check(team, BASELINE, "--update").returncode == 0
-    assert check(team, BASELINE).returncode == 0
+    assert check(team, EXPECTED, "--update").returncode == 0
+    assert check(team, EXPECTED).returncode == 0
 
 
-def test_dives_do_not_share_a_baseline(team: Path) -> None:
-    done = check(team, BASELINE.replace("{log}", "all"), "--update")
+def test_dives_do_not_share_expected_values(team: Path) -> None:
+    done = check(team, EXPECTED.replace("{log}", "all"), "--update")
     assert done.returncode == 2
-    assert "baselines/all.json" in done.stderr
-    assert not (team / "baselines").exists()
+    assert "expected/all.json" in done.stderr
+    assert not (team / "expected").exists()
 
 
 @pytest.mark.parametrize("name", ["../../pwned", "/etc/pwned", "a/b", "..", ".", "", "a\0b", "a" * 300])
-def test_update_never_leaves_the_folder_of_the_baselines(name: str, tmp_path: Path) -> None:
+def test_update_never_leaves_the_folder_of_the_expected_values(name: str, tmp_path: Path) -> None:
     write(tmp_path / "team" / "result", content(name))
-    (tmp_path / "team" / "baselines").mkdir()
+    (tmp_path / "team" / "expected").mkdir()
     before = sorted(path for path in tmp_path.rglob("*"))
-    done = check(tmp_path / "team", BASELINE, "--update", dives='["result"]')
+    done = check(tmp_path / "team", EXPECTED, "--update", dives='["result"]')
     assert done.returncode == 3
     assert f"error: result/report.json: log.name = {name[:255]!r} " in done.stderr
     assert sorted(path for path in tmp_path.rglob("*")) == sorted([*before, tmp_path / "team" / "gates.toml"])
 
 
-def test_update_without_a_baseline_is_an_error(team: Path) -> None:
+def test_update_without_expected_values_is_an_error(team: Path) -> None:
     done = check(team, PASSING, "--update")
     assert done.returncode == 2
     assert done.stderr.startswith("error: gates.toml: ")
 
 
-def test_a_baseline_holds_the_gated_values_alone(team: Path) -> None:
-    assert check(team, BASELINE, "--update").returncode == 0
-    text = (team / "baselines" / "transit.json").read_text("utf-8")
+def test_expected_values_are_the_gated_ones_and_the_settings(team: Path) -> None:
+    assert check(team, EXPECTED, "--update").returncode == 0
+    text = (team / "expected" / "transit.json").read_text("utf-8")
     stored = json.loads(text)
-    assert set(stored) == {"tool", "log", "tables", "baseline", "filters"}
+    assert set(stored) == {"tool", "log", "tables", "baseline", "filters", "config"}
     assert set(stored["tables"]) == {"improvement"}
     assert {key for row in stored["tables"]["improvement"] for key in row} == {"log", "filter", "state", "unit", "sd"}
     assert len(text.split("\n")) < 120, "its changes can be read in a review"
@@ -392,23 +414,23 @@ max = 5.0
 def test_a_gate_may_mean_all_dives_together(team: Path) -> None:
     done = check(team, POOLED)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.startswith("together: passed")
+    assert "\ntogether: passed" in done.stdout
     assert counts(done.stdout) == [1, 1]
     failed = check(team, POOLED.replace("5.0", "0.001"))
     assert failed.returncode == 1
-    assert re.search(r"FAILED  \*: together\n    pooled aided velocity_along: ratio .*[\d.]+.* 0\.001", failed.stdout)
+    assert re.search(r"FAILED  \*: together\n    aided velocity along ratio .*[\d.]+.* 0\.001", failed.stdout)
     assert check(team, POOLED + 'dives = ["tr*"]\n').returncode == 2
     assert check(team, POOLED.replace("velocity_along", "velocity_alon")).returncode == 2
 
 
-def test_the_summary_has_before_and_after(team: Path) -> None:
-    assert check(team, BASELINE, "--update").returncode == 0
-    done = check(team, BASELINE, "--set", "noise.accel_white_mps_rts=0.4", "--summary-file", "summary.md")
+def test_the_summary_has_expected_and_found_values(team: Path) -> None:
+    assert check(team, EXPECTED, "--update").returncode == 0
+    done = check(team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.4", "--summary-file", "summary.md")
     assert done.returncode == 1
     text = (team / "summary.md").read_text("utf-8")
     assert re.search(r"^aided: \d+ \w+", text, re.MULTILINE)
     assert re.search(
-        r"\| transit \| improvement aided ba_z: sd \| [\d.]+ \| [\d.]+ mg \| \+[\d.]+ % \| FAILED \|", text
+        r"\| transit \| aided accelerometer bias z sd \| [\d.]+ \| [\d.]+ mg \| \+[\d.]+ % \| FAILED \|", text
     )
 
 
@@ -449,6 +471,7 @@ def judged(*statuses: str, reasons: Sequence[str] = ("because",)) -> CheckResult
             )
             for number, status in enumerate(statuses)
         ),
+        elapsed_s={"d": 3.0},
     )
 
 
@@ -458,19 +481,27 @@ def test_junit_is_valid_and_counts_each_kind() -> None:
     )
     SCHEMA.validate(text)
     (suite,) = ElementTree.fromstring(text.encode())
-    assert suite.attrib == {"name": "d", "tests": "6", "failures": "2", "errors": "1", "skipped": "2"}
+    counts = {"tests": "6", "failures": "2", "errors": "1", "skipped": "2", "time": "3.000"}
+    assert suite.attrib == {"name": "d"} | counts
+    assert {(case.get("time"), case.get("file"), case.get("line")) for case in suite} == {("0.500", "gates.toml", "7")}
     assert [[child.tag for child in case] for case in suite] == [
         ["error"], ["failure"], ["failure"], ["skipped"], ["skipped"], [],
     ]  # fmt: skip
-    assert suite[1][0].text == "a < b & \\x1b[0m\nc"
+    assert suite[1][0].text == "a < b & \\x1b[0m\nc\ngates.toml:7"
 
 
 def test_junit_has_a_case_for_each_dive_and_gate(team: Path) -> None:
     done = check(team, PASSING + FAILING, "--format", "junit", "--output", "gates.xml")
     assert done.returncode == 1
-    assert done.stdout.startswith("FAILED  outage: ")
+    assert "\nFAILED  outage: " in done.stdout
     SCHEMA.validate(str(team / "gates.xml"))
-    cases = ElementTree.parse(team / "gates.xml").iter("testcase")
+    suites = ElementTree.parse(team / "gates.xml").getroot()
+    cases = list(suites.iter("testcase"))
+    for suite in suites:
+        report = json.loads((team / "checked" / suite.attrib["name"] / "report.json").read_bytes())
+        assert float(suite.attrib["time"]) == pytest.approx(report["tool"]["elapsed_s"], abs=1e-3)
+    lines = (team / "gates.toml").read_text("utf-8").split("\n")
+    assert {lines[int(case.attrib["line"])] for case in cases} == {f'name = "{NAME}"', f'name = "{NAME} fully"'}
     names = [(case.attrib["classname"], case.attrib["name"], len(case)) for case in cases]
     assert sorted(names) == [
         ("outage", NAME, 0), ("outage", f"{NAME} fully", 1),
@@ -516,7 +547,7 @@ def test_json_and_the_summary(team: Path) -> None:
     assert report.outcomes[0].findings[0].row == "ba_z"
     summary = (team / "summary.md").read_text()
     assert summary.startswith("# Before\n## Gates\n")
-    assert f"| FAILED | outage | {NAME} fully | improvement aided ba_z: " in summary
+    assert f"| FAILED | outage | {NAME} fully | aided accelerometer bias z " in summary
 
 
 def test_the_same_check_gives_the_same_bytes(team: Path) -> None:

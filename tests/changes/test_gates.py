@@ -26,12 +26,12 @@ def gate(**keys: Any) -> Gate:
     return msgspec.convert({"name": "a", "table": "improvement", "column": "sd"} | keys, Gate)
 
 
-def passes(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None) -> bool:
-    return all(finding.passed for finding in gate_findings(gate_, report, baseline))
+def passes(gate_: Gate, report: StoredReport, expected: StoredReport | None = None) -> bool:
+    return all(finding.passed for finding in gate_findings(gate_, report, expected))
 
 
-def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None) -> str:
-    return "; ".join(finding.sentence for finding in gate_findings(gate_, report, baseline) if not finding.passed)
+def why(gate_: Gate, report: StoredReport, expected: StoredReport | None = None) -> str:
+    return "; ".join(finding.sentence for finding in gate_findings(gate_, report, expected) if not finding.passed)
 
 
 # --- The file.
@@ -44,7 +44,7 @@ def why(gate_: Gate, report: StoredReport, baseline: StoredReport | None = None)
         (GATE + "maxx = 1", ": gate 1: ", "'maxx'", "max"),
         (GATE + 'max = "1"', ": gate 1: max: ", "'1'", "min = 40"),
         (GATE + 'max = 1\nlevel = "loud"', ": gate 1: level ", "'loud'", "error, warn, off"),
-        (GATE, ": gate 1: ", "'a'", "min, max, equals or baseline"),
+        (GATE, ": gate 1: ", "'a'", "min, max, equals or expected"),
         (GATE + "max = 1\nmin = 2", ": gate 1: ", "2", "min and max"),
         (GATE + "max = 1\n" + GATE + "min = 1", ": ", "'a'", ""),
         ("dives = []\n\n[[gates]]\nmax = 1", ": ", "'gates'", "gate"),
@@ -125,9 +125,30 @@ def test_lines_are_found_behind_comments_that_end_in_a_comma(tmp_path: Path) -> 
     assert load_gates(path).lines["a"] == 4
 
 
-def test_a_baseline_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("table", "column"), [("evidence", "why"), ("filters", "sentence"), ("*", "why")])
+def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
+    table: str, column: str, tmp_path: Path
+) -> None:
     path = tmp_path / "gates.toml"
-    path.write_text(GATE.replace("sd", "unit") + 'baseline = "b.json"\nmax_worse_pct = 1')
+    path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = ""\n')
+    with pytest.raises(ConfigError, match=f"column '{column}'") as raised:
+        require_known_names(load_gates(path), None)
+    hinted = re.findall(r"\w+", raised.value.hint)
+    assert {"verdict", "sd"} & {*hinted}
+    assert not {"why", "sentence"} & {*hinted}
+
+
+def test_the_old_key_is_refused_with_the_new_one(tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    path.write_text(f'{GATE}max = 1\n{GATE}baseline = "b/{{log}}.json"\nmax_worse_pct = 1\n')
+    with pytest.raises(ConfigError, match="gate 2: ") as raised:
+        load_gates(path)
+    assert raised.value.hint == 'expected = "b/{log}.json"'
+
+
+def test_an_expected_value_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
+    path = tmp_path / "gates.toml"
+    path.write_text(GATE.replace("sd", "unit") + 'expected = "b.json"\nmax_worse_pct = 1')
     with pytest.raises(ConfigError, match="column 'unit'"):
         require_known_names(load_gates(path), None)
 
@@ -190,17 +211,17 @@ def test_no_error_against_a_part_of_the_reference_passes() -> None:
 def test_a_star_means_every_row() -> None:
     findings = gate_findings(gate(max=1.0), stored(bg_z_sd=1.5), None)
     assert [(finding.row, finding.passed) for finding in findings] == [("ba_x", True), ("bg_z", False)]
-    assert re.fullmatch(r"improvement aided bg_z: sd .*1\.5 deg/h.* 1", findings[1].sentence)
+    assert re.fullmatch(r"aided gyro bias z sd .*1\.5 deg/h.* 1", findings[1].sentence)
 
 
 @pytest.mark.parametrize("value", [None, math.nan, math.inf])
-@pytest.mark.parametrize("keys", [{"max": 1e9}, {"equals": "x"}, {"baseline": "b", "max_worse_pct": 1e9}])
+@pytest.mark.parametrize("keys", [{"max": 1e9}, {"equals": "x"}, {"expected": "b", "max_worse_pct": 1e9}])
 def test_what_is_empty_or_not_finite_never_passes(value: float | None, keys: dict[str, Any]) -> None:
     report = stored()
     report.tables["improvement"][0]["sd"] = value
     assert not passes(gate(row="ba_x", **keys), report, stored())
     told = why(gate(row="ba_x", **keys), report, stored())
-    assert told.startswith("improvement aided ba_x: sd ")
+    assert told.startswith("aided accelerometer bias x sd ")
     assert told.endswith("(improved)")
 
 
@@ -221,7 +242,7 @@ def test_a_missing_row_is_reported_with_the_nearest_name() -> None:
         ({"row": "ba_x", "max_worse_abs": 0.3}, {"ba_x_sd": 1.31}, False),
         ({"row": "ba_x", "max_worse_pct": 10, "max_worse_abs": 0.3}, {"ba_x_sd": 1.25}, True),
         ({"row": "ba_x", "max_worse_pct": 10, "max_worse_abs": 0.3}, {"ba_x_sd": 1.35}, False),
-        # A signed error: -0.2 in the baseline, so 0.21 is 5 % worse and 0.19 is better.
+        # A signed error: -0.2 is expected, so 0.21 is 5 % worse and 0.19 is better.
         ({"table": "reference_error", "column": "final", "max_worse_pct": 6}, {"final": 0.21}, True),
         ({"table": "reference_error", "column": "final", "max_worse_pct": 4}, {"final": 0.21}, False),
         ({"table": "reference_error", "column": "final", "max_worse_pct": 0}, {"final": 0.19}, True),
@@ -233,64 +254,98 @@ def test_a_missing_row_is_reported_with_the_nearest_name() -> None:
         ({"table": "consistency", "column": "rejected", "max_worse_abs": 1}, {"rejected": 1}, True),
     ],
 )
-def test_a_value_may_be_worse_than_the_baseline_by_so_much(
+def test_a_value_may_be_worse_than_expected_by_so_much(
     keys: dict[str, Any], cell: dict[str, float], passed: bool
 ) -> None:
-    assert passes(gate(baseline="b", **keys), stored(**cell), stored()) is passed
+    assert passes(gate(expected="b", **keys), stored(**cell), stored()) is passed
 
 
 def test_percentages_may_fall_by_percentage_points() -> None:
     report = stored()
     report.tables["improvement"][0]["improvement_pct"] = 44.0
-    narrow = gate(row="ba_x", column="improvement_pct", baseline="b", max_worse_pct=5)
+    narrow = gate(row="ba_x", column="improvement_pct", expected="b", max_worse_pct=5)
     assert not passes(narrow, report, stored())
     told = why(narrow, report, stored())
-    assert told.startswith("improvement aided ba_x: improvement_pct ")
-    assert re.findall(r"\d+", told) == ["50", "44", "6", "5"]
+    assert told == "aided accelerometer bias x improvement 50 -> 44 % (-6 points, limit -5 points)"
     assert passes(msgspec.structs.replace(narrow, max_worse_pct=6.0), report, stored())
 
 
-@pytest.mark.parametrize("lacking", ["report", "baseline"])
+@pytest.mark.parametrize(
+    ("keys", "cell", "sentence"),
+    [
+        ({"column": "rmse"}, {"rmse": 0.9}, "aided roll rms 0.4 -> 0.9 deg (+125 %, limit +5 % or +0.1 deg)"),
+        (
+            {"column": "final"},
+            {"final": 0.4},
+            "aided roll final -0.2 -> 0.4 deg (+100 % in magnitude, limit +5 % or +0.1 deg)",
+        ),
+        (
+            {"table": "consistency", "column": "mean_nis"},
+            {"mean_nis": 6.2},
+            "aided velocity mean NIS 3.1 -> 6.2 (+100 % farther from dof, limit +5 % or +0.1)",
+        ),
+        (
+            {"table": "consistency", "column": "rejected"},
+            {"rejected": 7},
+            "aided velocity rejected 0 -> 7 (limit +5 % or +0.1)",
+        ),
+    ],
+)
+def test_a_failure_has_both_values_their_change_and_the_limit(
+    keys: dict[str, Any], cell: dict[str, float], sentence: str
+) -> None:
+    meant = gate(**({"table": "reference_error"} | keys), expected="b", max_worse_pct=5, max_worse_abs=0.1)
+    assert why(meant, stored(**cell), stored()) == sentence
+
+
+def test_a_column_of_the_baseline_is_named_as_its_own() -> None:
+    report = stored()
+    report.tables["reference_error"][0]["baseline_rmse"] = 1.0
+    meant = gate(table="reference_error", column="baseline_rmse", expected="b", max_worse_pct=5)
+    assert why(meant, report, stored()) == "baseline roll rms 0.5 -> 1 deg (+100 %, limit +5 %)"
+
+
+@pytest.mark.parametrize("lacking", ["report", "expected"])
 def test_a_mean_nis_without_its_degrees_of_freedom_does_not_pass(lacking: str) -> None:
-    sides = {"report": stored(), "baseline": stored()}
+    sides = {"report": stored(), "expected": stored()}
     for row in sides[lacking].tables["consistency"]:
         del row["dof"]
-    nis = gate(table="consistency", column="mean_nis", baseline="b", max_worse_pct=5)
-    assert "dof" in why(nis, sides["report"], sides["baseline"])
+    nis = gate(table="consistency", column="mean_nis", expected="b", max_worse_pct=5)
+    assert "dof" in why(nis, sides["report"], sides["expected"])
 
 
-def test_a_row_that_the_baseline_lacks_does_not_pass() -> None:
+def test_a_row_without_expected_values_does_not_pass() -> None:
     baseline = stored()
     baseline.tables["improvement"].clear()
-    assert "improvement aided ba_x: sd " in why(gate(baseline="b", max_worse_pct=1e9), stored(), baseline)
+    assert "aided accelerometer bias x sd " in why(gate(expected="b", max_worse_pct=1e9), stored(), baseline)
 
 
 @pytest.mark.parametrize("keys", [{}, {"filter": "aided"}, {"row": "ba_x"}, {"table": "*"}])
-def test_a_row_that_the_baseline_alone_has_does_not_pass(keys: dict[str, Any]) -> None:
+def test_an_expected_row_that_is_missing_does_not_pass(keys: dict[str, Any]) -> None:
     report = stored()
     del report.tables["improvement"][0]
-    meant = gate(baseline="b", max_worse_pct=1e9, **keys)
+    meant = gate(expected="b", max_worse_pct=1e9, **keys)
     assert passes(meant, stored(), stored())
     told = why(meant, report, stored())
-    assert re.fullmatch(r"improvement aided ba_x: sd .* 1", told)
-    assert passes(gate(baseline="b", max_worse_pct=1e9, row="bg_z"), report, stored())
+    assert re.fullmatch(r"aided accelerometer bias x sd .* 1", told)
+    assert passes(gate(expected="b", max_worse_pct=1e9, row="bg_z"), report, stored())
 
 
-def test_a_filter_that_the_baseline_alone_has_does_not_pass_where_it_is_meant() -> None:
-    keys = {"table": "filters", "column": "mean_improvement_pct", "baseline": "b", "max_worse_pct": 1e9}
+def test_an_expected_filter_that_is_missing_does_not_pass_where_it_is_meant() -> None:
+    keys = {"table": "filters", "column": "mean_improvement_pct", "expected": "b", "max_worse_pct": 1e9}
     both = stored()
     both.filters["other"] = both.filters["aided"]
-    assert why(gate(**keys), stored(), both).startswith("filters other: mean_improvement_pct ")
+    assert why(gate(**keys), stored(), both).startswith("other mean improvement ")
     assert passes(gate(**keys, filter="aided"), stored(), both)
 
 
-@pytest.mark.parametrize("keys", [{"min": 0}, {"max": 2}, {"equals": 1}, {"baseline": "b", "max_worse_pct": 1e9}])
+@pytest.mark.parametrize("keys", [{"min": 0}, {"max": 2}, {"equals": 1}, {"expected": "b", "max_worse_pct": 1e9}])
 @pytest.mark.parametrize("value", [True, False])
 def test_true_and_false_are_no_numbers(value: bool, keys: dict[str, Any]) -> None:
     report = stored()
     report.tables["improvement"][0]["sd"] = value
     assert not passes(gate(row="ba_x", **keys), report, stored())
-    if "baseline" in keys:
+    if "expected" in keys:
         assert not passes(gate(row="ba_x", **keys), stored(), report)
 
 
@@ -313,19 +368,19 @@ def test_true_and_false_are_no_numbers(value: bool, keys: dict[str, Any]) -> Non
 )
 def test_digits_that_differ_between_processors_pass_every_gate(keys: dict[str, Any], share: float) -> None:
     there = msgspec.convert(nudged(content(), share), StoredReport)
-    baseline = {"baseline": "b"} if any(key.startswith("max_worse") for key in keys) else {}
-    assert passes(gate(**baseline, **keys), there, stored())
+    more = {"expected": "b"} if any(key.startswith("max_worse") for key in keys) else {}
+    assert passes(gate(**more, **keys), there, stored())
     further = msgspec.convert(nudged(content(), 100.0 * share), StoredReport)
     back = msgspec.convert(nudged(content(), -100.0 * share), StoredReport)
-    assert not all(passes(gate(**baseline, **keys), report, stored()) for report in (further, back))
+    assert not all(passes(gate(**more, **keys), report, stored()) for report in (further, back))
 
 
 @pytest.mark.parametrize(("keys", "sd"), [({"max_worse_pct": 5.0}, 1.05), ({"max_worse_abs": 0.05}, 1.05)])
 def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processors(
     keys: dict[str, Any], sd: float
 ) -> None:
-    assert passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored())
-    assert not passes(gate(row="ba_x", baseline="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())
+    assert passes(gate(row="ba_x", expected="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-10)), stored())
+    assert not passes(gate(row="ba_x", expected="b", **keys), stored(ba_x_sd=sd * (1.0 + 1e-8)), stored())
 
 
 # --- Words of the outcome.
@@ -383,4 +438,4 @@ def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -
         {"log": "dive", "filter": "baseline", "quantity": "scale", "unit": "%", "fitted": 0.3, "fitted_sd": 0.02}
     ]
     limit = gate(table="track_fit", row="scale", column="fitted", min=-0.2, max=0.2)
-    assert re.fullmatch(r"track_fit baseline scale: fitted .*0\.3 %.*0\.2.*", why(limit, report))
+    assert re.fullmatch(r"baseline scale .*0\.3 %.*0\.2.*", why(limit, report))

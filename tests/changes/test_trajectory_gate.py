@@ -22,9 +22,9 @@ GATE = """
 [[gate]]
 name = "nothing changes"
 table = "trajectory"
-baseline = "baselines/{log}.npz"
+expected = "expected/{log}.npz"
 """
-BASELINE = Gate(name="nothing changes", table="trajectory", baseline="{log}.npz")
+EXPECTED = Gate(name="nothing changes", table="trajectory", expected="{log}.npz")
 
 
 def made(samples: int = 400) -> Trajectory:
@@ -58,48 +58,48 @@ def test_the_first_sample_that_differs_is_reported_with_its_quantity() -> None:
     new = changed(0, "heading_deg", slice(132, 400), 3.1e-4)
     values = new.values.copy()
     values[0, 200:, COLUMNS.index("velocity_n_mps")] += 1.0
-    [told] = sentences(BASELINE, replace(new, values=values))
+    [told] = sentences(EXPECTED, replace(new, values=values))
     assert told.startswith("baseline: heading_deg ")
     assert re.findall(r"\b\d[\d.e-]*", told) == ["132", "0.00031", "2e-09", "268", "400", "1"]
 
 
 def test_rounding_is_no_change_and_a_little_more_is() -> None:
     """The position reaches 798 m, so that a billionth of it are 0.8 micrometres."""
-    assert sentences(BASELINE, changed(1, "position_e_m", slice(10, 20), 0.7e-6)) == []
-    assert len(sentences(BASELINE, changed(1, "position_e_m", slice(10, 20), 0.9e-6))) == 1
+    assert sentences(EXPECTED, changed(1, "position_e_m", slice(10, 20), 0.7e-6)) == []
+    assert len(sentences(EXPECTED, changed(1, "position_e_m", slice(10, 20), 0.9e-6))) == 1
 
 
 def test_a_column_may_have_an_allowance_of_its_own() -> None:
     new = changed(1, "position_e_m", slice(10, 20), 1e-3)
-    gate = Gate(name="g", table="trajectory", baseline="b", max_abs={"position_e_m": 2e-3})
+    gate = Gate(name="g", table="trajectory", expected="b", max_abs={"position_e_m": 2e-3})
     assert sentences(gate, new) == []
-    assert sentences(Gate(name="g", table="trajectory", baseline="b", max_rel=1e-5), new) == []
-    assert sentences(Gate(name="g", table="trajectory", baseline="b", row="velocity"), new) == []
+    assert sentences(Gate(name="g", table="trajectory", expected="b", max_rel=1e-5), new) == []
+    assert sentences(Gate(name="g", table="trajectory", expected="b", row="velocity"), new) == []
 
 
 def test_headings_on_both_sides_of_the_seam_are_near() -> None:
     old = changed(0, "heading_deg", slice(0, 400), 180.0)
     values = old.values.copy()
     values[0, :, COLUMNS.index("heading_deg")] -= 360.0
-    assert sentences(BASELINE, replace(old, values=values), old) == []
+    assert sentences(EXPECTED, replace(old, values=values), old) == []
 
 
 def test_what_is_missing_on_both_sides_is_the_same_and_on_one_it_differs() -> None:
     missing = changed(0, "position_error_m", slice(0, 50), np.nan)
-    assert sentences(BASELINE, missing, missing) == []
-    [told] = sentences(BASELINE, missing)
+    assert sentences(EXPECTED, missing, missing) == []
+    [told] = sentences(EXPECTED, missing)
     assert re.search(r"position_error_m .* 0 s \(inf, .*\b50 of 400 ", told)
 
 
 def test_filters_and_times_that_are_not_the_same_never_pass() -> None:
     new, old = made(), made()
     one = replace(old, names=("baseline",), values=old.values[:1])
-    assert [told.split(":")[0] for told in sentences(BASELINE, new, one)] == ["aided"]
-    assert [told.split(":")[0] for told in sentences(BASELINE, one, new)] == ["aided"]
-    [first, _] = sentences(BASELINE, made(399), old)
+    assert [told.split(":")[0] for told in sentences(EXPECTED, new, one)] == ["aided"]
+    assert [told.split(":")[0] for told in sentences(EXPECTED, one, new)] == ["aided"]
+    [first, _] = sentences(EXPECTED, made(399), old)
     assert re.fullmatch(r"baseline: .*399 .* 400 .*", first)
-    assert sentences(BASELINE, made()) == []
-    gone = trajectory_findings(BASELINE, None, made())
+    assert sentences(EXPECTED, made()) == []
+    gone = trajectory_findings(EXPECTED, None, made())
     assert [finding.passed for finding in gone] == [False]
 
 
@@ -148,13 +148,13 @@ def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Pa
 @pytest.mark.parametrize(
     ("keys", "named"),
     [
-        ('row = "heading"\nbaseline = "b.npz"', "row 'heading'"),
-        ('column = "rmse"\nbaseline = "b.npz"', "columns"),
+        ('row = "heading"\nexpected = "b.npz"', "row 'heading'"),
+        ('column = "rmse"\nexpected = "b.npz"', "columns"),
         ("", "share_pct"),
         ('row = "attitude"\nwithin = [0, 1]', "row 'attitude'"),
         ('row = "position_error_m"\nwithin = [1, 0]', "within = [1.0, 0.0]"),
-        ('row = "position_error_m"\nwithin = [0, 1]\nbaseline = "b.npz"', "within"),
-        ('baseline = "b.npz"\nmax_abs = { heading = 1 }', "max_abs 'heading'"),
+        ('row = "position_error_m"\nwithin = [0, 1]\nexpected = "b.npz"', "within"),
+        ('expected = "b.npz"\nmax_abs = { heading = 1 }', "max_abs 'heading'"),
     ],
 )
 def test_keys_that_do_not_go_together_are_reported_before_any_replay(keys: str, named: str, tmp_path: Path) -> None:
@@ -219,11 +219,11 @@ def test_another_processor_passes(name: str, team: Callable[..., int], capsys: p
     assert there.values.shape == here.values.shape
 
 
-def test_a_broken_baseline_is_an_error_of_that_dive(
+def test_broken_expected_values_are_an_error_of_that_dive(
     team: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    Path("baselines/outage.npz").write_bytes(b"PK")
+    Path("expected/outage.npz").write_bytes(b"PK")
     assert team() == 1
     told = capsys.readouterr().out
-    assert "baselines/outage.npz: " in told
+    assert "expected/outage.npz: " in told
     assert trajectories(told) == [0, 1, 1]

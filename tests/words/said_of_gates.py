@@ -26,26 +26,27 @@ FILES = (
     f'{GATE}max = 1\nlevel = "loud"',
     GATE,
     f"{GATE}max_worse_pct = 1\nmax = 1",
-    f'{GATE}baseline = "b.json"',
+    f'{GATE}expected = "b.json"',
+    f'{GATE}baseline = "baselines/{{log}}.json"\nmax_worse_pct = 1',
     f"{GATE}max = 1\n{GATE}min = 1",
     f'{GATE}max = 1\nlevel = "off"',
     "dives = []\n\n[[gates]]\nmax = 1",
     f"{GATE}min = nan",
     f"{GATE}max = inf",
     f"{GATE}max = 1\nmin = 2",
-    f'{GATE}baseline = "{{lg}}.json"\nmax_worse_abs = 1',
+    f'{GATE}expected = "{{lg}}.json"\nmax_worse_abs = 1',
     "dives = []",
     f"{GATE}equals = true",
     f"{GATE}max = {'9' * 5000}",
     f"{GATE}max = {'[' * 5000}",
     "gate = 3",
-    f'{TRAJECTORY}row = "heading"\nbaseline = "b.npz"',
-    f'{TRAJECTORY}column = "rmse"\nbaseline = "b.npz"',
+    f'{TRAJECTORY}row = "heading"\nexpected = "b.npz"',
+    f'{TRAJECTORY}column = "rmse"\nexpected = "b.npz"',
     TRAJECTORY,
     f'{TRAJECTORY}row = "attitude"\nwithin = [0, 1]',
     f'{TRAJECTORY}row = "position_error_m"\nwithin = [1, 0]',
-    f'{TRAJECTORY}row = "position_error_m"\nwithin = [0, 1]\nbaseline = "b.npz"',
-    f'{TRAJECTORY}baseline = "b.npz"\nmax_abs = {{ heading = 1 }}',
+    f'{TRAJECTORY}row = "position_error_m"\nwithin = [0, 1]\nexpected = "b.npz"',
+    f'{TRAJECTORY}expected = "b.npz"\nmax_abs = {{ heading = 1 }}',
 )
 NAMES: tuple[dict[str, Any], ...] = (
     {"table": "improvment"},
@@ -56,14 +57,16 @@ NAMES: tuple[dict[str, Any], ...] = (
     {"table": "*", "row": "role"},
     {"filter": "baseline"},
     {"column": "status"},
+    {"table": "evidence", "column": "why", "equals": ""},
+    {"table": "*", "column": "sentence", "equals": "x"},
     {"column": "sdd"},
     {"filter": "aidde"},
     {"equals": "improved"},
     {"table": "consistency", "column": "verdict", "equals": 3},
-    {"column": "unit", "baseline": "b.json", "max_worse_pct": 1},
+    {"column": "unit", "expected": "b.json", "max_worse_pct": 1},
 )
 PASSING = '[[gate]]\nname = "sd"\ntable = "improvement"\ncolumn = "sd"\nrow = "ba_x"\nmax = 1.0\n'
-BASELINE = PASSING.replace("max = 1.0", 'baseline = "baselines/{log}.json"\nmax_worse_pct = 1')
+EXPECTED = PASSING.replace("max = 1.0", 'expected = "expected/{log}.json"\nmax_worse_pct = 1')
 
 
 def stored(**changes: Any) -> StoredReport:
@@ -86,7 +89,7 @@ def said_of_gates(folder: Path) -> Cases:
         yield f"in a file: {text.rstrip()}".replace(GATE, "GATE\n").replace("\n", " / "), refusal(load_gates, file)
     for keys in NAMES:
         lines = {"name": "b", "table": "improvement", "column": "sd", "max": 1} | keys
-        if {"equals", "baseline"} & keys.keys():
+        if {"equals", "expected"} & keys.keys():
             del lines["max"]
         text = "".join(f"{key} = {msgspec.json.encode(value).decode()}\n" for key, value in lines.items())
         file.write_text(f"[[gate]]\n{text}", "utf-8")
@@ -109,7 +112,7 @@ def of_cells() -> Cases:
     both.filters["other"] = both.filters["aided"]
     none.tables["improvement"].clear()
     errors: dict[str, Any] = {"table": "reference_error", "column": "rmse", "max": 1e9}
-    worse: dict[str, Any] = {"baseline": "b", "max_worse_pct": 5}
+    worse: dict[str, Any] = {"expected": "b", "max_worse_pct": 5}
     nis: dict[str, Any] = {"table": "consistency", "column": "mean_nis", **worse}
     mean = {"table": "filters", "column": "mean_improvement_pct", **worse}
     for name, keys, report, baseline in (
@@ -121,12 +124,12 @@ def of_cells() -> Cases:
         ("empty", {"max": 1.0, "row": "ba_x"}, empty, None),
         ("a row that is not there", {**errors, "row": "rol"}, stored(), None),
         ("a filter that is not there", {"filter": "aidde", "max": 1}, stored(), None),
-        ("worse than the baseline", {"row": "ba_x", **worse}, stored(ba_x_sd=1.2), stored()),
+        ("worse than expected", {"row": "ba_x", **worse}, stored(ba_x_sd=1.2), stored()),
         ("worse percentage", {"row": "ba_x", "column": "improvement_pct", **worse}, lost, stored()),
         ("without degrees of freedom", nis, without_dof, stored()),
-        ("the baseline has no number", {"row": "ba_x", **worse}, stored(), none),
-        ("the baseline alone has the row", worse, less, stored()),
-        ("the baseline alone has the filter", mean, stored(), both),
+        ("no number is expected", {"row": "ba_x", **worse}, stored(), none),
+        ("an expected row is missing", worse, less, stored()),
+        ("an expected filter is missing", mean, stored(), both),
     ):
         yield name, reasons(gate_findings(gate(**keys), report, baseline))  # type: ignore[arg-type]
 
@@ -143,7 +146,7 @@ def changed(column: str, samples: slice, by: float) -> Trajectory:
 
 
 def of_trajectories() -> Cases:
-    same = Gate(name="a", table="trajectory", baseline="{log}.npz")
+    same = Gate(name="a", table="trajectory", expected="{log}.npz")
     one = replace(made(), names=("baseline",), values=made().values[:1])
     outside = changed("position_error_m", slice(100, 120), 50.0)
     for name, new, old in (
@@ -175,12 +178,12 @@ def by_the_command(folder: Path) -> Cases:
         ("a share", PASSING + half, ["dive", "second"]),
         ("a warning", f'{PASSING}level = "warn"\n', ["second"]),
         ("no result", PASSING, ["broken", "dive"]),
-        ("no baseline", BASELINE, ["dive"]),
-        ("a new baseline", BASELINE, ["dive", "--update"]),
-        ("an old baseline", BASELINE, ["dive", "--update"]),
-        ("shared baselines", BASELINE.replace("{log}", "all"), ["dive", "second", "--update"]),
-        ("a name of no dive", BASELINE, ["hostile/result", "--update"]),
-        ("a name of no file", BASELINE.replace("{log}", "a" * 5000), ["dive"]),
+        ("no expected values", EXPECTED, ["dive"]),
+        ("new expected values", EXPECTED, ["dive", "--update"]),
+        ("the same expected values", EXPECTED, ["dive", "--update"]),
+        ("shared expected values", EXPECTED.replace("{log}", "all"), ["dive", "second", "--update"]),
+        ("a name of no dive", EXPECTED, ["hostile/result", "--update"]),
+        ("a name of no file", EXPECTED.replace("{log}", "a" * 5000), ["dive"]),
         ("nothing to update", PASSING, ["dive", "--update"]),
         ("no such gate", PASSING, ["dive", "--only", "ba_y*"]),
         ("no such settings", f'config = "vehicle.toml"\n{PASSING}', ["dive"]),
@@ -191,6 +194,6 @@ def by_the_command(folder: Path) -> Cases:
     ):
         (folder / "gates.toml").write_text(gates, "utf-8")
         yield f"check: {name}", spoken(folder, "check", "gates.toml", *arguments)
-    (folder / "gates.toml").write_text(BASELINE, "utf-8")
-    (folder / "baselines" / "dive.json").write_text('{"tool": ')
-    yield "check: a broken baseline", spoken(folder, "check", "gates.toml", "dive")
+    (folder / "gates.toml").write_text(EXPECTED, "utf-8")
+    (folder / "expected" / "dive.json").write_text('{"tool": ')
+    yield "check: broken expected values", spoken(folder, "check", "gates.toml", "dive")
