@@ -457,7 +457,7 @@ def closing_lines(report: Report) -> tuple[str, ...]:
 
 def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
     """Return the page of a replay; the same replay gives the same bytes."""
-    from insdvl_replay.show.page import captioned, facts, page, pictures, settings_details
+    from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
 
     caption = "Line: median of the runs from all starts. Shaded: range of the runs. " if len(first) > 1 else ""
     sensors = captioned(
@@ -487,7 +487,7 @@ def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure],
     return page(
         dive_document(
             report,
-            [pictures((*first, *_bars(report)), f"{caption}Click a picture to enlarge it. {MEANING}")],
+            [pictures((*first, *_bars(report)), f"{caption}{HOW_TO_READ} {MEANING}")],
             [Heading("Figures"), *figures, Html(sensors)],
             [
                 Heading("Notes"),

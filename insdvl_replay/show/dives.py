@@ -29,7 +29,7 @@ from insdvl_replay.show.dive import (
     shouted,
 )
 from insdvl_replay.show.document import MISSING, counted, number, rows_csv, shown, significant
-from insdvl_replay.show.page import SIGNATURE, page, sorting_script
+from insdvl_replay.show.page import SIGNATURE, page
 
 
 @dataclass(frozen=True)
@@ -274,7 +274,7 @@ _TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}
 
 def index_page(outcomes: Sequence[Outcome]) -> bytes:
     """Return the page of several dives, in the order of the logs; a script lets the reader sort its table."""
-    return page([*_opening(outcomes), *_tables(outcomes)], sorting_script())
+    return page([*_opening(outcomes), *_tables(outcomes)], "sorting.js")
 
 
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {

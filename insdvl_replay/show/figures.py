@@ -499,6 +499,8 @@ def _over_time(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
 # --- Strips: coverage of the dive by each sensor.
 
 _COLUMNS, _HEIGHT, _TICKS = 300, 20, 5
+_RIGHTMOST: Final = 97.0
+"""Labels from here on end at their place, in percent of the width."""
 _FEWEST_BEAMS: Final = 3
 """With fewer valid beams a ping has no velocity."""
 
@@ -527,9 +529,13 @@ def coverage_strips(replay: Replay) -> str:
             f'<path d="M0 {_HEIGHT}{steps}H{_COLUMNS}V{_HEIGHT}Z"/></svg>'
         )
     whole = float(clock.time(np.array([clock.end_ns]))[0])
-    ticks = [f'<span style="left:{at:.1f}%">{label}</span>' for at, label in Axis(0.0, whole, 0.0, 100.0).ticks(_TICKS)]
-    times = f'{"".join(ticks)}<span class="last">{clock.label}</span>'
-    return f'<div class="strips">{"".join(rows)}<div></div><div class="times">{times}</div></div>'
+    ticks = [*Axis(0.0, whole, 0.0, 100.0).ticks(_TICKS), (100.0, clock.label)]
+    times = "".join(
+        f'<text class="tick" x="{at:.1f}%" y="{28 if at == 100.0 else 12}" '
+        f'text-anchor="{"end" if at > _RIGHTMOST else "middle"}">{label}</text>'
+        for at, label in ticks
+    )
+    return f'<div class="strips">{"".join(rows)}<div></div><svg class="times">{times}</svg></div>'
 
 
 def _sources(dive: Dive) -> Iterator[Source]:

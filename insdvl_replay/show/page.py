@@ -31,47 +31,56 @@ _SHORT: Final = 20
 SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 
-def page(document: Document, script: str = "") -> bytes:
+HOW_TO_READ: Final = (
+    "Point at a plot to read its values, drag to zoom, double click to see everything again, click to enlarge."
+)
+"""On a page with plots, above the first figure if it is not said before."""
+
+
+def page(document: Document, *scripts: str) -> bytes:
     """Render a document with a title as a page; the same document gives the same bytes.
 
     Before the first heading are links to all of them. Tables that follow each other are side by side where there is
-    room. The page works without the script.
+    room. ``scripts`` are files of this folder; plots bring ``cursor.js``. The page works without them.
     """
     shown = list(parts_for("html", document))
     [title] = [escape(part.text) for part in shown if isinstance(part, Title)]
     parts = [part for part in shown if not isinstance(part, Title)]
+    figures = [place for place, part in enumerate(parts) if isinstance(part, Figure)]
+    if figures and not any(isinstance(part, Html) and HOW_TO_READ in part.text for part in parts):
+        parts.insert(figures[0], HOW_TO_READ)
     headings = [part.text for part in parts if isinstance(part, Heading)]
     first = next((place for place, part in enumerate(parts) if isinstance(part, Heading)), len(parts))
     links = "".join(f'<a href="#{_anchor(text)}">{escape(text)}</a>' for text in headings)
     nav = [f"<nav>{links}</nav>"] if links else []
-    digest = b64encode(sha256(script.encode()).digest()).decode()
-    own = f"; script-src 'sha256-{digest}'" if script else ""
+    body = [f"<h1>{title}</h1>", *_in_grids(parts[:first]), *nav, *_in_grids(parts[first:])]
+    plots = ["cursor.js"] if any('panel" viewBox' in part for part in body) else []
+    codes = [files("insdvl_replay.show").joinpath(name).read_text("utf-8") for name in (*scripts, *plots)]
+    style = f"\n{style_sheet()}"
+    # Nothing from the network, and only the page's own style and scripts.
+    allowed = " ".join(map(_digest, codes)) or "'none'"
+    policy = f"default-src 'none'; style-src {_digest(style)}; script-src {allowed}"
     lines = [
         "<!doctype html>",
         '<html lang="en">',
         '<meta charset="utf-8">',
         SIGNATURE,
-        # Nothing from the network, and only the page's own script.
-        f"<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; style-src 'unsafe-inline'{own}\">",
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         f"<title>{title}</title>",
-        f"<style>\n{style_sheet()}</style>",
+        f"<style>{style}</style>",
         "<body><main>",
-        f"<h1>{title}</h1>",
-        *_in_grids(parts[:first]),
-        *nav,
-        *_in_grids(parts[first:]),
+        *body,
         "</main>",
-        *([f"<script>{script}</script>"] if script else []),
+        *(f"<script>{code}</script>" for code in codes),
         "</body></html>",
         "",
     ]
     return "\n".join(lines).encode()
 
 
-def sorting_script() -> str:
-    """Return the script that sorts a table by the column that is clicked."""
-    return files("insdvl_replay.show").joinpath("sorting.js").read_text("utf-8")
+def _digest(text: str) -> str:
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"
 
 
 def fragment(document: Document) -> str:

@@ -296,7 +296,7 @@ def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     """Draw ticks as lines across the panel, with their labels outside."""
     bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
-    yield '<g class="times">'
+    yield '<g class="ticks">'
     for place, label in x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X):
         yield f'<path class="grid" d="M{place:.1f} {top:g}V{bottom:g}"/>'
         yield f'<text class="tick" x="{place:.1f}" y="{bottom + 13:g}" text-anchor="middle">{label}</text>'

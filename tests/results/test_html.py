@@ -2,7 +2,9 @@
 
 import io
 import re
+from base64 import b64encode
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 
 import msgspec
@@ -148,12 +150,15 @@ def test_errors_of_a_track_are_magnified_so_that_they_are_seen(replay: Replay) -
     assert drawn.x[-1] - reference.x[-1] == pytest.approx(times * end_m, abs=1e-6)
 
 
-def test_page_asks_nobody_for_anything(result: tuple[Document, Report, bytes]) -> None:
+def test_page_asks_nobody_for_anything_and_runs_only_its_own_script(result: tuple[Document, Report, bytes]) -> None:
     document, _, data = result
-    assert not {"script", "link", "img", "iframe", "object"} & {tag for tag, _ in document.elements}
-    assert not re.search(rb"https?://|url\(|@import", data)
+    assert not {"link", "img", "iframe", "object"} & {tag for tag, _ in document.elements}
+    assert not re.search(rb"https?://(?!www.w3.org/2000/svg)|url\(|@import", data)
     [policy] = [attributes["content"] for _, attributes in document.elements if "http-equiv" in attributes]
-    assert policy.startswith("default-src 'none'")
+    [code], [style] = document.texts["script"], document.texts["style"]
+    digests = [b64encode(sha256(text.encode()).digest()).decode() for text in (style, code)]
+    assert policy == "default-src 'none'; style-src 'sha256-{}'; script-src 'sha256-{}'".format(*digests)
+    assert not {name for _, attributes in document.elements for name in attributes if name.startswith(("on", "style"))}
 
 
 def test_identifiers_are_unique(result: tuple[Document, Report, bytes]) -> None:
