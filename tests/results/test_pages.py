@@ -56,7 +56,7 @@ def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
 def test_index_allows_its_own_script_alone() -> None:
     document = Document(index_page([report()]).decode())
     [policy] = [attributes["content"] for _, attributes in document.elements if "http-equiv" in attributes]
-    assert re.fullmatch(r"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-[\w+/]{43}='", policy)
+    assert re.fullmatch(r"default-src 'none'; style-src 'sha256-[\w+/]{43}='; script-src 'sha256-[\w+/]{43}='", policy)
     assert len(document.texts["script"]) == 1
 
 
