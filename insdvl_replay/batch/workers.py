@@ -26,14 +26,15 @@ from insdvl_replay.core.runtime import prepare_process
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Submit = Callable[..., "Future[Any]"]
-Pool = Callable[[bool], AbstractContextManager[tuple[Submit, int]]]
-"""Opens workers, a single one if asked to: how work is handed to them, and how many items they hold at a time."""
+Pool = Callable[[bool], AbstractContextManager[tuple[Submit, int, Callable[[], bool]]]]
+"""Opens workers, a single one if asked to: how work is handed to them, how many items they hold, if none does work."""
 
 _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
 _REACHED_WITHIN_S: Final = 10
 _WORKERS_WITHIN_S: Final = 60
 _ENDED_WITHIN_S: Final = 5
+_ANSWERED_WITHIN_S: Final = 15
 _PR_SET_PDEATHSIG: Final = 1
 
 
@@ -53,7 +54,7 @@ def do_each(
     while waiting or suspects:
         if not waiting:
             waiting, suspects, alone = deque(suspects), [], True
-        with pool(alone) as (submit, in_flight):  # fresh workers after every loss
+        with pool(alone) as (submit, in_flight, is_idle):  # fresh workers after every loss
             running, broken = dict[Future[Result], int](), False
             while running or (waiting and not broken):
                 while waiting and not broken and len(running) < in_flight:
@@ -64,7 +65,12 @@ def do_each(
                         future = Future()
                         future.set_exception(error)
                     running[future] = place
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                # The answer of a worker of a cluster is lost if the worker dies after its work: nobody works any more.
+                first = partial(wait, running, return_when=FIRST_COMPLETED)
+                if not first(_ANSWERED_WITHIN_S).done and is_idle() and not first(_ANSWERED_WITHIN_S).done:
+                    for future in running:
+                        future.cancel()
+                for future in [future for future in running if future.cancelled()] or first().done:
                     place, outcome = running.pop(future), _outcome(future.result)
                     lost = isinstance(outcome, WorkerLostError)
                     broken = broken or lost
@@ -98,12 +104,13 @@ def local_pool(jobs: int, *, runs_code: bool = False) -> Pool | None:
 
 
 @contextmanager
-def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int]]:
+def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
     """Start processes; an exception, an interruption included, ends them with what they do."""
     executor = ProcessPoolExecutor(1 if alone else jobs, multiprocessing.get_context("spawn"), _begin)
     before = set(multiprocessing.active_children())
     try:
-        yield lambda work, item: executor.submit(_do, work, item), 1 if alone or jobs == 1 else 2 * jobs
+        in_flight = 1 if alone or jobs == 1 else 2 * jobs
+        yield lambda work, item: executor.submit(_do, work, item), in_flight, lambda: False
         executor.shutdown()
     except BaseException:
         ours = set(multiprocessing.active_children()) - before
@@ -160,7 +167,7 @@ def cluster_pool(address: str) -> Pool:
 
 
 @contextmanager
-def _cluster(distributed: Any, address: str, alone: bool) -> Iterator[tuple[Submit, int]]:
+def _cluster(distributed: Any, address: str, alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
     try:
         client = distributed.Client(address, timeout=_REACHED_WITHIN_S, set_as_default=False)
         client.wait_for_workers(1, timeout=_WORKERS_WITHIN_S)
@@ -171,7 +178,8 @@ def _cluster(distributed: Any, address: str, alone: bool) -> Iterator[tuple[Subm
         ) from error
     executor = client.get_executor(pure=False)
     try:
-        yield executor.submit, 1 if alone else 2 * sum(client.ncores().values())
+        in_flight = 1 if alone else 2 * sum(client.ncores().values())
+        yield executor.submit, in_flight, lambda: not any(client.processing().values())
     finally:
         executor.shutdown(wait=False)
         client.close(timeout=2)

@@ -1,6 +1,7 @@
 """Many dives: found, replayed on several workers, known again, and not lost when workers die."""
 
 import csv
+import dataclasses
 import gc
 import hashlib
 import json
@@ -26,6 +27,7 @@ from msgspec.structs import replace
 from recorded_parts import write_part
 
 import insdvl_replay
+from insdvl_replay.batch import workers
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.jobs import (
     ReplayJob,
@@ -610,9 +612,9 @@ def test_an_interruption_while_workers_are_ended_is_not_swallowed() -> None:
         return future
 
     @contextmanager
-    def interrupted(_alone: bool) -> Iterator[tuple[Submit, int]]:
+    def interrupted(_alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
         try:
-            yield submit, 1
+            yield submit, 1, bool
         except GeneratorExit:
             raise KeyboardInterrupt from None
 
@@ -620,6 +622,31 @@ def test_an_interruption_while_workers_are_ended_is_not_swallowed() -> None:
     assert next(outcomes) == (0, 1)
     with pytest.raises(KeyboardInterrupt):
         outcomes.close()
+
+
+def test_work_whose_answer_is_lost_is_done_once_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "_ANSWERED_WITHIN_S", 0.01)
+
+    @contextmanager
+    def forgetful(alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
+        def submit(work: Callable[[str], int], item: str) -> Future[int]:
+            future: Future[int] = Future()
+            if alone or item != "2":
+                future.set_result(work(item))
+            return future
+
+        yield submit, 3, lambda: True
+
+    assert dict(do_each(int, ["1", "2", "3"], forgetful)) == {0: 1, 1: 2, 2: 3}
+
+
+def test_a_dive_that_a_lost_worker_has_written_is_not_in_the_way(archive: Path, tmp_path: Path) -> None:
+    job = task(archive / "dive_1.mcap", output=tmp_path)
+    report = replay_into(job)
+    assert replay_into(job) == report
+    other = task(archive / "dive_1.mcap", output=tmp_path / "new", control=True)
+    with pytest.raises(ConfigError, match="exists"):
+        replay_into(dataclasses.replace(other, target=job.target))
 
 
 def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
@@ -631,6 +658,15 @@ def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_
     assert again.stdout == done.stdout
 
 
+def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
+    """Give what a process prints until its end; one that hangs is killed, and does not hang the tests."""
+    try:
+        return process.communicate(timeout=120)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+
+
 @pytest.mark.nightly
 def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
@@ -638,7 +674,7 @@ def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: P
         wait_for(tmp_path / "out" / "dive_1", process)
         workers = [child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline())]
         workers[0].kill()
-        _, err = process.communicate(timeout=120)
+        _, err = ended(process)
     assert process.returncode == 0, err
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
@@ -649,7 +685,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Pat
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         wait_for(tmp_path / "out" / "dive_1", process)
         process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=60)
+        _, err = ended(process)
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == "error: interrupted"
     assert "Traceback" not in err
@@ -681,7 +717,7 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
         wait_for(tmp_path / "out" / "dive_1", process)
         children = psutil.Process(of_cluster.pid).children(recursive=True)
         next(child for child in children if "spawn_main" in str(child.cmdline())).kill()
-        _, err = process.communicate(timeout=120)
+        _, err = ended(process)
     assert process.returncode == 0, err
     assert bytes_of(tmp_path / "out") == bytes_of(results)
 
