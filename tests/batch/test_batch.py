@@ -576,8 +576,8 @@ def test_a_dive_that_kills_its_workers_is_reported_by_name(archive: Path, tmp_pa
         raise BrokenExecutor("killed")
 
     @contextmanager
-    def fresh(_alone: bool) -> Iterator[tuple[Submit, int]]:
-        yield submit, 2
+    def fresh(_alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
+        yield submit, 2, bool
 
     tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]
     first, second = replay_jobs(tasks, {}, fresh)
@@ -596,8 +596,8 @@ def test_workers_end_by_themselves_after_the_last_dive(archive: Path, tmp_path: 
         return future
 
     @contextmanager
-    def fresh(_alone: bool) -> Iterator[tuple[Submit, int]]:
-        yield submit, 2
+    def fresh(_alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
+        yield submit, 2, bool
         ends.append("by themselves")
 
     tasks = [task(archive / f"dive_{seed}.mcap", output=tmp_path) for seed in (1, 2)]

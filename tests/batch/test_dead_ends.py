@@ -111,7 +111,7 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     log_there.write_bytes(log.read_bytes())
     monkeypatch.chdir(tmp_path)
     tasks = plan_jobs([Path("dive.mcap")], Path("out"), ReplayOptions(Config()))
-    [outcome] = replay_jobs(tasks, {}, lambda _alone: nullcontext((submit, 1)), elsewhere=True)
+    [outcome] = replay_jobs(tasks, {}, lambda _alone: nullcontext((submit, 1, bool)), elsewhere=True)
     assert seen[0].logs == (log_there,)
     assert seen[0].target == tmp_path / "out" / "dive"
     assert isinstance(outcome.result, LogError)
