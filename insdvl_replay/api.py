@@ -18,7 +18,7 @@ from insdvl_replay.core.result import Report
 from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
 from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
 from insdvl_replay.results.stored_results import read_one_result
-from insdvl_replay.show.dive import dive_screen
+from insdvl_replay.show.screens import dive_screen
 
 if TYPE_CHECKING:
     import pandas as pd

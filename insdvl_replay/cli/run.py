@@ -92,13 +92,12 @@ def run(
     from insdvl_replay.show.dive import (
         TOGETHER,
         dive_document,
-        dive_screen,
-        heading,
         replay_result,
         require_tables,
         tables_named,
     )
-    from insdvl_replay.show.dives import INDEX, OVERVIEWS, Failure, dives_screen, overview_parts
+    from insdvl_replay.show.dives import INDEX, OVERVIEWS, Failure, overview_parts
+    from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 
     if history == "parquet":
         from insdvl_replay.results.result_files import require_parquet
@@ -123,6 +122,10 @@ def run(
     shows_screen = format_ == "table" and not (tables or verbose or quiet)
     talks = not (quiet or (shows_screen and sys.stderr.isatty()))
 
+    # For several dives, the screen is printed once all are done, and so are the lines of a quiet run.
+    brief = quiet and format_ == "table"
+    prints_each = not brief and (not (at_the_end or shows_screen) or (alone and not tables))
+
     def shown(report: Report, target: Path) -> str:
         parts: Sequence[Part] = tables_named(report, *tables)
         if not tables:
@@ -144,10 +147,7 @@ def run(
             log_notes(report.notes, verbose=verbose > 0)
         if outcome.unchanged and alone and not (quiet or talks):
             log_to_stderr(f"unchanged {target}")
-        # For several dives, the screen is printed once all are done.
-        if quiet and format_ == "table":
-            write_stdout(f"{visible(heading(report))}\n")
-        elif not (at_the_end or shows_screen) or (alone and not tables):
+        if prints_each:
             write_stdout(shown(report, target))
         if talks:
             log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
@@ -158,7 +158,9 @@ def run(
             codes[name] = log_failure(
                 LogError(found, "the result was written; leave --strict out to accept it"), verbose
             )
-    if tables and not (quiet and format_ == "table"):
+    if brief:
+        write_stdout("".join(f"{visible(line)}\n" for line in quiet_lines(reports)))
+    elif tables:
         write_stdout(_tables_of_all(reports, tables, format_, at_the_end=at_the_end))
     if alone:
         return max(codes.values())

@@ -133,7 +133,7 @@ class DisplayTable:
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
     title_apart: bool = False  # on a terminal, print the title above the table, unfolded
-    spare: tuple[int, ...] = ()  # columns that a narrow terminal leaves out, in this order
+    spare: tuple[int | tuple[int, ...], ...] = ()  # columns that a narrow terminal leaves out, in this order
     folds: int = 0  # letters that may be folded before a column is left out
     links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none
     folded: bool = False  # in HTML folded under its title; left out in print

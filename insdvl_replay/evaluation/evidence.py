@@ -351,10 +351,10 @@ def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> s
     if interval.stretch is None:
         return f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
     if span_s[1] <= span_s[0]:
-        return "nearly all error in one stretch: one sample"
+        return "nearly all error in one stretch"
     stretch_s = (span_s[1] - span_s[0]) / STRETCHES
     begun_s = span_s[0] + interval.stretch * stretch_s
-    return f"nearly all error from {begun_s:.0f} to {begun_s + stretch_s:.0f} s: one sample"
+    return f"nearly all error in {begun_s:.0f} to {begun_s + stretch_s:.0f} s"
 
 
 def _rms(squared: Floats) -> float:

@@ -73,6 +73,8 @@ AGAINST: Final = {
     Verdict.EQUIVALENT: "is equivalent to",
     Verdict.UNDECIDED: "is undecided against",
 }
+NOT_EVALUATED: Final = "is NOT EVALUATED against"
+SETTLE: Final = ". Settle this first"
 TOO_LARGE: Final = "innovations far too large"
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
@@ -289,7 +291,7 @@ def verdicts(
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
         verdict, prediction = Verdict.NOT_EVALUATED, Prediction.UNDECIDED
-        measured = f"{candidate} is NOT EVALUATED against {baseline}: {unsound.get(candidate)}. Settle this first"
+        measured = f"{candidate} {NOT_EVALUATED} {baseline}: {unsound.get(candidate)}{SETTLE}"
         if candidate not in unsound:
             verdict = verdict_of(evidence)
             prediction, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
@@ -313,6 +315,11 @@ def verdicts(
             mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
         )
     return found
+
+
+def reason_not_evaluated(sentence: str) -> str:
+    """Return the reason in the sentence on a candidate that is not evaluated."""
+    return sentence.partition(NOT_EVALUATED)[2].partition(": ")[2].rpartition(SETTLE)[0]
 
 
 def _median(numbers: Iterable[float]) -> float:
@@ -394,12 +401,8 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
             drawn = f" over {row.starts} drawn starts" if row.evidence == "accuracy" and row.starts > 1 else ""
             piece = f"{piece}{drawn} (this dive: {values}{interval_in_words(row, 'on this dive')}{why})"
         pieces.append(piece)
-    left = left_undecided(verdict, evidence)
-    undecided = [row for row in evidence if row.quantity in DECIDING and not row.why]
-    if verdict == Verdict.UNDECIDED and undecided and not left:
-        # How many dives would decide, by the first row that does not depend on a single stretch.
-        needed = _needed(undecided[0], finite(undecided[0].effective_samples), 1)
-        left = f"; {needed}" if needed else ""
+    left, needed = left_undecided(verdict, evidence), would_settle(verdict, evidence)
+    left += f"; {needed}" if needed else ""
     words = {row.verdict for row in evidence if row.evidence == CONSISTENT} & {
         EvidenceVerdict.BETTER,
         EvidenceVerdict.WORSE,
@@ -411,8 +414,16 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
     return f"{'; '.join(pieces) or 'there is no evidence'}{left}"
 
 
-def _needed(row: Piece, samples: float, dives: int) -> str:
-    """Say how many dives like these would decide an evidence row; empty if these dives should be enough."""
+def would_settle(verdict: Verdict, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
+    """Say how many dives like these would decide an undecided candidate; empty if these dives should be enough.
+
+    This is by the first undecided row that does not depend on a single stretch of a dive.
+    """
+    undecided = (row for row in rows if row.quantity in deciding and row.verdict == EvidenceVerdict.UNDECIDED)
+    row = next((row for row in undecided if isinstance(row, PooledRow) or not row.why), None)
+    if row is None or verdict != Verdict.UNDECIDED:
+        return ""
+    samples, dives = (float(row.dives), row.dives) if isinstance(row, PooledRow) else (finite(row.effective_samples), 1)
     ends = finite(row.ratio), finite(row.low), finite(row.high)
     return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
 
@@ -593,8 +604,7 @@ def pooled_sentence(pooled: PooledCandidate) -> str:
         f"p = {finite(row.p):.2g}{interval_in_words(row, 'over dives')})"
         for row in spoken
     ]
-    if spoken and verdict == Verdict.UNDECIDED:
-        pieces.append(_needed(spoken[0], float(spoken[0].dives), spoken[0].dives))
+    pieces.append(would_settle(verdict, pooled.rows, DECIDING_TOGETHER))
     found = "; ".join(filter(None, pieces)) or "there is no evidence"
     left = left_undecided(verdict, pooled.rows, DECIDING_TOGETHER)
     return f"{pooled.name} {AGAINST[verdict]} {pooled.baseline} over {dives}: {found}{left}."

@@ -17,7 +17,6 @@ from insdvl_replay.core.quantities import (
     DECIDING,
     DECIDING_TOGETHER,
     HELD_OUT_QUANTITIES,
-    is_beam,
     is_whole,
     label,
 )
@@ -44,7 +43,6 @@ from insdvl_replay.core.result import (
 from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, PooledRow, each_table, finite
 from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
 from insdvl_replay.evaluation.evidence import SOONER
-from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.series import FEWEST_EFFECTIVE, LARGEST_P, MARGIN
 from insdvl_replay.evaluation.verdicts import (
     FEWEST_SHOWN,
@@ -53,8 +51,6 @@ from insdvl_replay.evaluation.verdicts import (
     Piece,
     on_prediction,
     shown_interval,
-    spoken_of,
-    trust_sentence,
 )
 from insdvl_replay.show.document import (
     MISSING,
@@ -104,7 +100,8 @@ class _FilterRow(Protocol):
 Row = TypeVar("Row", bound=_FilterRow)
 
 
-def _of(name: str, rows: Iterable[Row]) -> list[Row]:
+def of_filter(name: str, rows: Iterable[Row]) -> list[Row]:
+    """Return the rows of a filter."""
     return [row for row in rows if row.filter == name]
 
 
@@ -143,6 +140,8 @@ def reason_in_words(row: Piece) -> str:
     is_pooled, is_time, (low, high) = isinstance(row, PooledRow), row.evidence == "convergence", shown_interval(row)
     if isinstance(row, EvidenceRow) and row.why:
         return row.why
+    if row.evidence == "track" and not is_pooled:
+        return "one dive is one sample"
     if low is None or high is None:
         return f"fewer than {FEWEST_SHOWN} {'dives' if is_pooled else 'effective samples'}"
     if low <= 1.0 <= high:
@@ -194,7 +193,7 @@ def headline_table(report: Report, title: str = "", footnote: str = "") -> Itera
 def track_fit_line(report: Report) -> Iterator[str]:
     """Return a line with the scale and the turn that align the baseline's track with the reference's, if known."""
     texts = []
-    for row in _of(report.baseline, report.tables.track_fit):
+    for row in of_filter(report.baseline, report.tables.track_fit):
         # With two to four digits: to the first digit of the standard error at least.
         digits = next((n for n in range(2, 5) if finite(row.fitted_sd) >= 10.0**-n), 2)
         sd = "" if row.fitted_sd is None else f" \N{PLUS-MINUS SIGN} {row.fitted_sd:.{digits}f}"
@@ -243,7 +242,7 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
             kept.sort(key=lambda row: quantities.index(row.quantity))
         is_apart = "{filter}" in layout.title
         for name in (report.baseline, *report.filters) if is_apart else ("",):
-            if own := _of(name, kept) if is_apart else kept:
+            if own := of_filter(name, kept) if is_apart else kept:
                 footnote = _footnote(report, layout.name, name, own)
                 found[layout.name, name] = shown(layout.row, own, footnote, filter=name, baseline=report.baseline)
         if layout.name == "consistency" and (axes := [row for row in report.tables.consistency if row.whiteness]):
@@ -284,7 +283,7 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
                 f"sigma of {name} is nearest to the target, as Levy and Klein count. sigma may grow again after it."
             )
         case "reference_error":
-            errors = _of(name, report.tables.reference_error)
+            errors = of_filter(name, report.tables.reference_error)
             missing = _grouped((row.status, label(row.quantity)) for row in errors)
             missing.pop(ReferenceStatus.COMPARED, None)
             return "; ".join(
@@ -557,88 +556,17 @@ def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
     predicted_pct = report.filters[name].mean_improvement_pct
     for quantity, measured_pct in list(measured.items())[:1] if predicted_pct is not None else ():
         yield f"mean / {label(quantity)}", predicted_pct, measured_pct
-    for row in _of(name, report.tables.improvement):
+    for row in of_filter(name, report.tables.improvement):
         quantity = _MEASURED_BY.get(row.state, "")
         if quantity in measured:
             axis = label(row.state).partition(", ")[2]
             yield quantity if quantity == "heading" else f"{quantity}, {axis}", row.improvement_pct, measured[quantity]
 
 
-# --- The screen: one dive with up to two candidates fits 24 lines of 80 columns; more candidates have a row each.
+# --- What screens and pages have in common.
 
-MOST_ROWS: Final = {1: 7, 2: 1}
-"""Number of evidence rows for each candidate, by the number of candidates."""
 _CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
 """Evidence rows that are shown as well as those that decided and the first of each kind."""
-
-
-def dive_screen(report: Report, page: str) -> list[Part]:
-    """Return the screen of one dive, whose page is at ``page``."""
-    few = len(report.filters) in MOST_ROWS
-    words = [part for name in report.filters for part in _candidate_parts(report, name)] if few else _many(report)
-    notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
-    return [
-        Title(_facts(report)),
-        *headline_table(report),
-        *words,
-        *track_fit_line(report),
-        *(() if has_reference(report) else (NO_REFERENCE,)),
-        Code(f"all tables{notes}: -v   page: {page}", ""),
-    ]
-
-
-def _facts(report: Report) -> str:
-    """Return a line with what was replayed."""
-    tables, duration_s = report.tables, report.log.duration_s
-    starts = max((row.starts for row in tables.evidence), default=0)
-    # The first filter that takes velocities, or beams where none does.
-    rows = [row for row in tables.consistency if row.measurement == "velocity"][:1]
-    kind = "velocities" if rows else "beams"
-    if not rows:
-        beams = [row for row in tables.consistency if is_beam(row.measurement)]
-        rows = [row for row in beams if row.filter == beams[0].filter]
-    rejected = sum(row.rejected for row in rows)
-    met = f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected" if rows else "no velocities"
-    # An onboard solution may cover only a part of the dive. The baseline is compared over all of it.
-    baseline = [row.samples for row in _of(report.baseline, tables.drift)]
-    compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
-    known = has_reference(report)
-    reference = f"reference {compared / duration_s:.2g} Hz" if known else "no reference"
-    drawn = [counted(starts, "start")] if starts and known else []
-    return f"{report.log.name}: {', '.join([f'{duration_s:.0f} s', met, reference, *drawn])}"
-
-
-def _candidate_parts(report: Report, name: str) -> Iterator[Part]:
-    candidate, baseline = report.filters[name], report.baseline
-    verdict = candidate.verdict
-    word = Callout(f"{name} against {baseline}: {shouted(verdict)}", TONES.get(verdict, ""))
-    if verdict == Verdict.NOT_EVALUATED:
-        yield Sentences((word, candidate.sentence))
-        return
-    evidence = _of(name, report.tables.evidence)
-    is_alone = len(report.filters) == 1  # two candidates have no room for reasons and footnotes
-    known = has_reference(report) if is_alone else None
-    yield Sentences((word, _prediction_line(candidate, evidence, has_reference=known)))
-    if rows := _chosen([row for row in evidence if row.evidence != CONSISTENT], MOST_ROWS[len(report.filters)]):
-        columns = (
-            ("evidence", "l", "quantity:label"),
-            ("", "l", "unit"),
-            (baseline, "r", "baseline:value"),
-            (name, "r", "value:value"),
-            ("ratio", "r", lambda row: ratio_text(row.ratio)),
-            ("on this dive", "r", interval_text),
-            ("n", "r", "effective_samples:0"),
-            ("p", "r", lambda row: decimal(row.p, 3).removeprefix("0")),
-            ("", "l", verdict_in_table),
-        )
-        starts = max((row.starts for row in rows if row.evidence == "accuracy"), default=0)
-        yield table_of("", rows, columns, over_starts(starts) if is_alone else "", spare=(6, 2, 3, 1, 5, 7))
-    sizes = ""
-    if nis := next((row for row in evidence if row.quantity == "nis"), None):
-        fit = ", expected 1. Try --control, which fits the noise." if is_noise_far_off(report.tables, baseline) else "."
-        values = f"{baseline} {significant(nis.baseline, 3)}, {nis.filter} {significant(nis.value, 3)}"
-        sizes = f" {label(nis.quantity)}: {values}{fit}"
-    yield f"{trust_sentence(report.tables, name, baseline)}{sizes}"
 
 
 def over_starts(starts: int) -> str:
@@ -646,10 +574,8 @@ def over_starts(starts: int) -> str:
     return f"ratio: over {starts} drawn starts; values: this dive, from its own start" if starts > 1 else ""
 
 
-def _prediction_line(
-    candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, has_reference: bool | None
-) -> str:
-    """State the predicted improvement of a candidate, and whether it is confirmed; with ``None`` without the reason."""
+def prediction_line(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, has_reference: bool) -> str:
+    """State the predicted improvement of a candidate, and whether it is confirmed."""
     predicted_pct = candidate.mean_improvement_pct
     if predicted_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
         return "predicted: unknown. An onboard solution reports the sigma of only some states, or of none."
@@ -662,17 +588,16 @@ def _prediction_line(
     found = ""
     if finite(predicted_pct) >= NOTABLE_PCT:
         prediction = candidate.prediction or Prediction.UNDECIDED
-        found = on_prediction(prediction, evidence, has_reference=bool(has_reference))
-        found = f" {found if has_reference is not None else found.partition(':')[0]}."
+        found = f" {on_prediction(prediction, evidence, has_reference=has_reference)}."
     return f"predicted: {sigma} sigma, {convergence} convergence.{found}"
 
 
-def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
+def chosen_rows(rows: Sequence[P], most: int) -> list[P]:
     """Choose evidence rows: those that decided, the first of each kind, held-out sensors, then others."""
     known = [row for row in rows if row.baseline is not None or row.value is not None]
     first = {row.evidence: row.quantity for row in reversed(known)}
 
-    def importance(row: EvidenceRow) -> tuple[bool, bool, bool, bool]:
+    def importance(row: P) -> tuple[bool, bool, bool, bool]:
         return (
             not (row.quantity in DECIDING and row.verdict in DECIDED),
             row.quantity not in (first[row.evidence], *HELD_OUT_QUANTITIES),
@@ -680,19 +605,5 @@ def _chosen(rows: Sequence[EvidenceRow], most: int) -> list[EvidenceRow]:
             row.quantity not in DECIDING_TOGETHER,
         )
 
-    quantities = {row.quantity for row in sorted(known, key=importance)[:most]}
+    quantities = list(dict.fromkeys(row.quantity for row in sorted(known, key=importance)))[:most]
     return [row for row in known if row.quantity in quantities]
-
-
-def _many(report: Report) -> list[Part]:
-    """Return many candidates, a row each, with the evidence row that decided or could have."""
-    rows = []
-    for name, candidate in report.filters.items():
-        verdict, cells, predicted = Verdict(candidate.verdict), (MISSING,) * 3, (MISSING, "")
-        if verdict != Verdict.NOT_EVALUATED:
-            predicted = (percent(candidate.mean_improvement_pct), candidate.prediction)
-            for row in list(spoken_of(verdict, _of(name, report.tables.evidence)))[:1]:
-                cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row))
-        rows.append((name, shouted(verdict), *cells, *predicted))
-    header = ("filter", f"against {report.baseline}", "evidence", "ratio", "on this dive", "predicted", "")
-    return [Sentences(()), DisplayTable("", header, "lllrrrl", tuple(rows), spare=(4, 5, 6, 2))]

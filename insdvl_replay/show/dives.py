@@ -9,12 +9,11 @@ from urllib.parse import quote
 from msgspec import Struct
 from msgspec.structs import astuple
 
-from insdvl_replay.core.errors import natural_key
-from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, is_whole, label
-from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Result, Sentences, Title
-from insdvl_replay.core.tables import Number, PooledRow, finite
-from insdvl_replay.core.words import GateStatus, Severity, Verdict
-from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
+from insdvl_replay.core.quantities import is_whole, label
+from insdvl_replay.core.result import Callout, DisplayTable, Part, Report, Result, Title
+from insdvl_replay.core.tables import Number, PooledRow
+from insdvl_replay.core.words import Severity, Verdict
+from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence
 from insdvl_replay.show.dive import (
     MEANS,
     TOGETHER,
@@ -22,13 +21,9 @@ from insdvl_replay.show.dive import (
     as_shown,
     gain_cells,
     has_reference,
-    interval_text,
-    over_starts,
-    ratio_text,
     replay_result,
-    shouted,
 )
-from insdvl_replay.show.document import MISSING, counted, number, rows_csv, shown, significant
+from insdvl_replay.show.document import MISSING, number, rows_csv, shown
 from insdvl_replay.show.page import SIGNATURE, page
 
 
@@ -44,17 +39,19 @@ Outcome = Report | Failure
 INDEX: Final = "index.html"
 
 
-def _reports(outcomes: Sequence[Outcome]) -> list[Report]:
+def reports_of(outcomes: Sequence[Outcome]) -> list[Report]:
+    """Return the dives that were replayed."""
     return [outcome for outcome in outcomes if isinstance(outcome, Report)]
 
 
-def _failed(outcomes: Sequence[Outcome]) -> int:
+def failed_count(outcomes: Sequence[Outcome]) -> int:
+    """Return the number of logs that could not be replayed."""
     return sum(isinstance(outcome, Failure) for outcome in outcomes)
 
 
 def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
     """Pool the evidence on each candidate that at least two dives have."""
-    reports, found = _reports(outcomes), []
+    reports, found = reports_of(outcomes), []
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         having = [report for report in reports if name in report.filters]
         evaluated = [report for report in having if report.filters[name].verdict != Verdict.NOT_EVALUATED]
@@ -64,105 +61,6 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
             predicted_pct = [report.filters[name].mean_improvement_pct for report in evaluated]
             found.append(pooled_candidate(name, baselines, rows, len(having), predicted_pct))
     return found
-
-
-# --- The screen: the pooled verdict, a row for each dive, and where the page is.
-
-MOST_DIVES: Final = 20
-"""With more dives, only the failed and the worst have rows."""
-MOST_FAILED, WORST, MOST_CODES = 8, 3, 3
-FAILED: Final = GateStatus.FAILED
-"""Printed instead of a verdict."""
-
-
-def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
-    """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
-    said = [counted(len(outcomes), "dive"), f"{_failed(outcomes)} failed"]
-    codes = [{note.code for note in report.notes if note.severity == Severity.WARNING} for report in _reports(outcomes)]
-    if counts := Counter(code for found in codes for code in found):
-        named = [f"{code} {count}" for code, count in counts.most_common(MOST_CODES)]
-        named += [f"{len(counts) - MOST_CODES} more"] if len(counts) > MOST_CODES else []
-        said.append(f"warnings on {sum(map(bool, codes))}: {', '.join(named)}")
-    return [
-        *_pooled_parts(pooled_candidates(outcomes)),
-        _dives_table(outcomes),
-        ", ".join(said),
-        Code(f"all tables: -v   page: {index}", ""),
-    ]
-
-
-def _pooled_parts(pooled: Sequence[PooledCandidate]) -> Iterator[Part]:
-    rows = []
-    for found in pooled:
-        # The evidence row that decided, or could have.
-        spoken = spoken_of(found.verdict, found.rows, DECIDING_TOGETHER)
-        cells = (MISSING,) * 5
-        if found.verdict != Verdict.NOT_EVALUATED and spoken:
-            row = spoken[0]
-            won, p = f"{row.dives_won}/{row.dives}", f"{finite(row.p):.2g}"
-            cells = (label(row.quantity), ratio_text(row.ratio), interval_text(row), won, p)
-        rows.append((found.name, shouted(found.verdict), *cells))
-    if pooled:
-        baselines = " or ".join(dict.fromkeys(found.baseline for found in pooled))
-        header = (f"against {baselines}", "all dives", "evidence", "ratio", "over dives", "won", "p")
-        yield DisplayTable("", header, "lllrrrr", tuple(rows), spare=(2, 4, 6, 5, 3))
-        yield Sentences(())
-
-
-def _dives_table(outcomes: Sequence[Outcome]) -> DisplayTable:
-    """Return a row for each dive: the ratio and verdict of each candidate, and the values if there is one."""
-    reports = _reports(outcomes)
-    names = list(dict.fromkeys(name for report in reports for name in report.filters))
-    # The evidence row that is first on most dives.
-    firsts = Counter[tuple[str, str]]()
-    for report in reports:
-        for name in report.filters:
-            own = [row for row in report.tables.evidence if row.filter == name]
-            if any(row.evidence != CONSISTENT for row in own):
-                firsts[own[0].quantity, own[0].unit] += 1
-    quantity, unit = firsts.most_common(1)[0][0] if firsts else ("", "")
-    rows, largest, starts = list[tuple[str, ...]](), dict[str, float](), 0
-    for outcome in outcomes:
-        if isinstance(outcome, Failure):
-            rows.append((outcome.log, *(([MISSING] * 4 if len(names) == 1 else [MISSING]) + [FAILED]) * len(names)))
-            continue
-        cells, found = (
-            [outcome.log.name],
-            {row.filter: row for row in outcome.tables.evidence if row.quantity == quantity},
-        )
-        for name in names:
-            texts = [MISSING] * 4
-            if (row := found.get(name)) is not None:
-                values = (significant(row.baseline, 3), significant(row.value, 3))
-                texts = [*values, ratio_text(row.ratio), interval_text(row)]
-            candidate = outcome.filters.get(name)
-            cells += texts if len(names) == 1 else texts[2:3]
-            cells.append(shouted(candidate.verdict) if candidate else MISSING)
-        rows.append(tuple(cells))
-        if found:
-            largest[outcome.log.name] = max(finite(row.ratio) for row in found.values())
-            starts = max(starts, *(row.starts for row in found.values() if row.evidence == "accuracy"), 0)
-    chosen = rows
-    if len(rows) > MOST_DIVES:
-        failed = [row for row in rows if FAILED in row[1:]][:MOST_FAILED]
-        worst = sorted(largest, key=lambda log: -largest[log])[:WORST]
-        chosen = [row for row in rows if row in failed or row[0] in worst]
-    left_out = len(rows) - len(chosen)
-    shown_rows = f"failed dives and the {WORST} largest ratios; {left_out} more are on the page" if left_out else ""
-    footnote = "; ".join(filter(None, (over_starts(starts), shown_rows)))
-    heads, alignment = [head for name in names for head in (name, "")], "rl" * len(names)
-    if len(names) == 1:
-        baselines = " or ".join(sorted({report.baseline for report in reports}))
-        heads, alignment = [f"{baselines} [{unit}]", f"{names[0]} [{unit}]", "ratio", "on this dive", ""], "rrrrl"
-    chosen.sort(key=lambda row: natural_key(row[0]))
-    return DisplayTable(
-        "",
-        (label(quantity) or "dive", *heads),
-        f"l{alignment}",
-        tuple(chosen),
-        footnote,
-        spare=(4, 1, 2) if len(names) == 1 else (),
-    )
 
 
 # --- For scripts: a summary, and the pooled evidence.
@@ -238,7 +136,7 @@ def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Seque
         "summary": (SummaryRow, list(summary_rows(outcomes))),
     }
     shown_tables = [table for name in names if name in TOGETHER for table in _TOGETHER[name](outcomes)]
-    return replay_result(_reports(outcomes), [*parts, *shown_tables], names, rows)
+    return replay_result(reports_of(outcomes), [*parts, *shown_tables], names, rows)
 
 
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -248,7 +146,7 @@ def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
 
 def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
     """Yield the values of dives by filters, a table for each quantity."""
-    reports = _reports(outcomes)
+    reports = reports_of(outcomes)
     names = list(dict.fromkeys(name for report in reports for name in report.filters))
     baselines = " or ".join(sorted({report.baseline for report in reports}))
     for quantity in _SUMMARIES:
@@ -293,9 +191,9 @@ def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
 
 def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
-    failed, counts = _failed(outcomes), dict[str, Counter[str]]()
+    failed, counts = failed_count(outcomes), dict[str, Counter[str]]()
     yield Title(f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else ""))
-    for report in _reports(outcomes):
+    for report in reports_of(outcomes):
         for name, candidate in report.filters.items():
             counts.setdefault(name, Counter())[candidate.verdict] += 1
     for pooled in pooled_candidates(outcomes):
@@ -332,8 +230,8 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
             gains, consistency_words = gain_cells(outcome, name), (candidate.consistency, str(warnings), "")
             rows.append((outcome.log.name, name, *gains, *positions, *consistency_words))
             links.append(f"{quote(outcome.log.name)}/{_PAGE}")
-    known = any(has_reference(report) for report in _reports(outcomes))
-    left_out = {*(() if known else _WITH_REFERENCE), *(() if _failed(outcomes) else (len(_HEADER) - 1,))}
+    known = any(has_reference(report) for report in reports_of(outcomes))
+    left_out = {*(() if known else _WITH_REFERENCE), *(() if failed_count(outcomes) else (len(_HEADER) - 1,))}
     kept = [place for place in range(len(_HEADER)) if place not in left_out]
     yield DisplayTable(
         "Each candidate against its baseline",

@@ -103,7 +103,8 @@ def table_of(
     rows: "Iterable[Any] | pd.DataFrame",
     columns: Sequence[Column],
     footnote: str = "",
-    spare: tuple[int, ...] = (),
+    spare: tuple[int | tuple[int, ...], ...] = (),
+    folds: int = 0,
 ) -> DisplayTable:
     """Return a table with a row for each of ``rows``: objects, mappings, or those of a frame."""
     listed: list[Any] = rows.to_dict("records") if hasattr(rows, "to_dict") else list(rows)
@@ -111,7 +112,9 @@ def table_of(
     texts = [_text(*text.partition(":"), get) if isinstance(text, str) else text for _, _, text in columns]
     cells = tuple(tuple(text(row) for text in texts) for row in listed)
     alignment = "".join(letter for _, letter, _ in columns)
-    return DisplayTable(title, tuple(head for head, _, _ in columns), alignment, cells, footnote, spare=spare)
+    return DisplayTable(
+        title, tuple(head for head, _, _ in columns), alignment, cells, footnote, spare=spare, folds=folds
+    )
 
 
 def _text(key: str, _: str, form: str, get: Callable[[str], Callable[[Any], Any]]) -> Callable[[Any], CellText]:

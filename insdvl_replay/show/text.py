@@ -88,9 +88,9 @@ class _Fitting:
     table: DisplayTable
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        spare = self.table.spare
+        spare = [place if isinstance(place, tuple) else (place,) for place in self.table.spare]
         for count in range(len(spare) + 1):
-            grid = _grid(self.table, spare[:count])
+            grid = _grid(self.table, [place for places in spare[:count] for place in places])
             if count == len(spare):
                 break  # to measure it takes as long as to print it
             needed = Measurement.get(console, options.update(max_width=_ANY_WIDTH), grid).maximum
@@ -116,7 +116,7 @@ def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
         grid.add_column(Text(visible_lines(table.header[place])), justify=justify, overflow="fold")  # type: ignore[arg-type]
     for row in table.rows:
         texts = ["\n".join(cell_lines(row[place])) for place in kept]
-        grid.add_row(*(Text(text, style=_STYLES.get(text.lower(), "")) for text in texts))
+        grid.add_row(*(Text(text, style=_STYLES.get(text.lower().partition(" by ")[0], "")) for text in texts))
     return grid
 
 

@@ -1,0 +1,429 @@
+"""The terminal screens of a run: the answer for each candidate, then the evidence, then the dives one by one."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from insdvl_replay.core.errors import natural_key
+from insdvl_replay.core.quantities import CONSISTENT, DECIDING, DECIDING_TOGETHER, is_beam, label
+from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
+from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
+from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Prediction, Severity, Verdict
+from insdvl_replay.evaluation.notes import is_noise_far_off
+from insdvl_replay.evaluation.verdicts import (
+    FEWEST_SHOWN,
+    NOTABLE_PCT,
+    Piece,
+    PooledCandidate,
+    reason_not_evaluated,
+    spoken_of,
+    trust_sentence,
+    would_settle,
+)
+from insdvl_replay.show.dive import (
+    NO_REFERENCE,
+    TONES,
+    chosen_rows,
+    has_reference,
+    headline_table,
+    interval_text,
+    of_filter,
+    over_starts,
+    prediction_line,
+    ratio_text,
+    reason_in_words,
+    shouted,
+    track_fit_line,
+    verdict_in_table,
+)
+from insdvl_replay.show.dives import Failure, Outcome, failed_count, pooled_candidates, reports_of
+from insdvl_replay.show.document import MISSING, Column, counted, decimal, percent, significant, table_of
+
+# --- The answer for one candidate, on one dive or on several.
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is said first of a candidate."""
+
+    name: str
+    baseline: str
+    verdict: Verdict
+    rows: Sequence[Piece]  # evidence that has a ratio
+    where: str  # the dive, or the number of dives
+    reason: str  # why it is not evaluated
+    predicted_pct: Number
+    prediction: str
+    prediction_sentence: str
+
+    @property
+    def deciding(self) -> Collection[str]:
+        """The quantities that may decide."""
+        return DECIDING_TOGETHER if self.rows and isinstance(self.rows[0], PooledRow) else DECIDING
+
+    @property
+    def spoken(self) -> list[Piece]:
+        """The row that decided, or could have; two rows if the verdict is mixed."""
+        if self.verdict == Verdict.NOT_EVALUATED:
+            return []
+        return spoken_of(self.verdict, self.rows, self.deciding)[: 2 if self.verdict == Verdict.MIXED else 1]
+
+    @property
+    def evidence(self) -> str:
+        """That row with its ratio and interval, such as ``drift in 30 s 0.74 (0.69 .. 0.78)``."""
+        texts = []
+        for row in self.spoken:
+            interval, word = interval_text(row), f" {row.verdict}" if self.verdict == Verdict.MIXED else ""
+            interval = "" if interval == MISSING else f" ({interval})"
+            texts.append(f"{label(row.quantity)} {ratio_text(row.ratio)}{interval}{word}")
+        return "; ".join(texts) or "no evidence"
+
+    @property
+    def would_decide(self) -> str:
+        """How many dives would decide an undecided verdict, or why it is undecided; empty if it is decided."""
+        needed = would_settle(self.verdict, self.rows, self.deciding)
+        reasons = [reason_in_words(row) for row in self.spoken if self.verdict == Verdict.UNDECIDED]
+        return needed or next((f"undecided: {reason}" for reason in reasons if reason), "")
+
+
+def _dive_answer(report: Report, name: str) -> Answer:
+    candidate, evidence = report.filters[name], of_filter(name, report.tables.evidence)
+    return Answer(
+        name,
+        report.baseline,
+        Verdict(candidate.verdict),
+        [row for row in evidence if row.evidence != CONSISTENT and row.ratio is not None],
+        report.log.name,
+        reason_not_evaluated(candidate.sentence),
+        candidate.mean_improvement_pct,
+        candidate.prediction,
+        prediction_line(candidate, evidence, has_reference=has_reference(report)),
+    )
+
+
+def _pooled_answer(pooled: PooledCandidate) -> Answer:
+    pct, dives = pooled.predicted_pct, counted(pooled.evaluated, "dive")
+    size = "smaller" if not pct < 0.0 else "larger"
+    confirmed = f" {pooled.confirmation}." if pooled.confirmation else ""
+    return Answer(
+        pooled.name,
+        pooled.baseline,
+        pooled.verdict,
+        [row for row in pooled.rows if row.dives],
+        dives if pooled.evaluated == pooled.dives else f"{pooled.evaluated} of {counted(pooled.dives, 'dive')}",
+        f"it is evaluated on {pooled.evaluated} of {counted(pooled.dives, 'dive')}",
+        pct,
+        pooled.prediction,
+        f"predicted: {percent(abs(pct))} {size} sigma, median of {dives}.{confirmed}",
+    )
+
+
+def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
+    """Return one line for each candidate, over all dives."""
+    reports, lines = reports_of(outcomes), []
+    pooled = {found.name: _pooled_answer(found) for found in pooled_candidates(outcomes)}
+    for name in dict.fromkeys(name for report in reports for name in report.filters):
+        answer = pooled.get(name) or _dive_answer(next(report for report in reports if name in report.filters), name)
+        start = f"{name} {shouted(answer.verdict)}"
+        if answer.verdict == Verdict.NOT_EVALUATED:
+            lines.append(f"{start} on {answer.where}: {answer.reason}")
+        else:
+            lines.append(f"{start} {answer.evidence} on {answer.where}; {_predicted(answer)}")
+    return lines
+
+
+def _predicted(answer: Answer) -> str:
+    """Write the predicted improvement, and whether it is confirmed, in a few words."""
+    pct = finite(answer.predicted_pct)
+    if pct != pct:
+        return "predicted sigma unknown"
+    if pct < NOTABLE_PCT:
+        checked = "" if pct < 0.0 else f": below {NOTABLE_PCT:.0f} %, not checked"
+        return f"predicted {percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'} sigma{checked}"
+    confirmed = Prediction.CONFIRMED if answer.prediction == Prediction.CONFIRMED else Prediction.NOT_CONFIRMED
+    return f"predicted {percent(pct)} smaller sigma: {confirmed}"
+
+
+# --- The parts that both screens have.
+
+MOST_ANSWERS: Final = 2
+"""More candidates have a row of a table each."""
+MOST_COLUMNS: Final = 3
+"""More candidates have no common table of evidence."""
+MOST_ROWS: Final = {1: 6, 2: 3, 3: 3}
+"""Evidence rows on a screen, by the number of candidates."""
+FOLDED: Final = 6
+"""Letters of a reason that are folded before a column is left out."""
+
+
+def _answer_parts(answers: Sequence[Answer]) -> Iterator[Part]:
+    """Yield word, evidence, what would decide, and prediction of each candidate."""
+    if len(answers) > MOST_ANSWERS:
+        yield from (Sentences(()), _answer_table(answers))
+        return
+    lines: list[str | Callout] = []
+    for answer in answers:
+        start, tone = (
+            f"{answer.name} against {answer.baseline}: {shouted(answer.verdict)}",
+            TONES.get(answer.verdict, ""),
+        )
+        if answer.verdict == Verdict.NOT_EVALUATED:
+            lines += [Callout(start, tone), f"{answer.reason[:1].upper()}{answer.reason[1:]}. Settle this first."]
+            continue
+        lines.append(Callout(f"{start}, {answer.evidence}", tone))
+        if found := answer.would_decide:
+            lines.append(f"{found[:1].upper()}{found[1:]}.")
+        lines.append(answer.prediction_sentence)
+    if lines:
+        yield Sentences(tuple(lines))
+
+
+def _answer_table(answers: Sequence[Answer]) -> DisplayTable:
+    """Return many candidates, a row each."""
+    rows = []
+    for answer in answers:
+        cells, predicted = [MISSING] * 3, (MISSING, "")
+        for row in answer.spoken[:1]:
+            cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
+        if answer.verdict != Verdict.NOT_EVALUATED:
+            found = _predicted(answer).partition(": ")[2]
+            predicted = (percent(answer.predicted_pct), found if found in set(Prediction) else "")
+        rows.append((answer.name, shouted(answer.verdict), *cells, *predicted, answer.would_decide))
+    baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
+    header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted", "", "")
+    return DisplayTable("", header, "lllrrrll", tuple(rows), spare=(7, 4, 5, 6, 2))
+
+
+def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts: int = 0) -> Iterator[DisplayTable]:
+    """Yield the evidence: of one candidate with intervals and reasons, of several side by side."""
+    evaluated = [answer for answer in answers if answer.verdict != Verdict.NOT_EVALUATED]
+    if not evaluated or len(answers) > MOST_COLUMNS:
+        return
+    rows = chosen_rows([row for answer in evaluated for row in answer.rows], MOST_ROWS[len(answers)])
+    if not rows:
+        return
+    footnote = over_starts(starts)
+    if len(answers) > 1:
+        yield _side_by_side(evaluated, list(dict.fromkeys(row.quantity for row in rows)), title, footnote)
+        return
+    [answer] = answers
+    is_pooled = isinstance(rows[0], PooledRow)
+    columns: tuple[Column, ...] = (
+        (title, "l", "quantity:label"),
+        ("", "l", "unit"),
+        (answer.baseline, "r", "baseline:value"),
+        (answer.name, "r", "value:value"),
+        ("ratio", "r", lambda row: ratio_text(row.ratio)),
+        (interval, "r", interval_text),
+        ("won", "r", lambda row: f"{row.dives_won}/{row.dives}") if is_pooled else ("n", "r", "effective_samples:0"),
+        ("p", "r", "p:significant" if is_pooled else lambda row: decimal(row.p, 3).removeprefix("0")),
+        ("", "l", _verdict_with_reason),
+    )
+    folds = FOLDED * any(reason_in_words(row) for row in rows)
+    yield table_of("", rows, columns, footnote, spare=(7, 6, (1, 2, 3), 5), folds=folds)
+
+
+def _side_by_side(answers: Sequence[Answer], quantities: Sequence[str], title: str, footnote: str) -> DisplayTable:
+    """Return ratio and verdict of several candidates in the same quantities, with the values where there is room."""
+    found = {(answer.name, row.quantity): row for answer in answers for row in answer.rows}
+    cells = []
+    for quantity in quantities:
+        rows = [found.get((answer.name, quantity)) for answer in answers]
+        known = next(row for row in rows if row is not None)
+        texts = [label(quantity), known.unit, significant(known.baseline, 3)]
+        for row in rows:
+            texts += [significant(row.value, 3), ratio_text(row.ratio), verdict_in_table(row)] if row else [MISSING] * 3
+        cells.append(tuple(texts))
+    heads = (head for answer in answers for head in ("value", answer.name, ""))
+    header = (f"{title}: ratio", "", answers[0].baseline, *heads)
+    values = (1, 2, *range(3, len(header), 3))
+    return DisplayTable("", header, f"llr{'rrl' * len(answers)}", tuple(cells), footnote, spare=(values,))
+
+
+def _verdict_with_reason(row: Piece) -> str:
+    """Write the verdict of a row, and why it is undecided."""
+    why = reason_in_words(row) if row.verdict == EvidenceVerdict.UNDECIDED else ""
+    text = f"{row.verdict}: {why}" if why else row.verdict
+    return f"({text})" if verdict_in_table(row).startswith("(") else text
+
+
+# --- One dive: with one candidate at most 24 lines of 80 columns.
+
+
+def dive_screen(report: Report, page: str) -> list[Part]:
+    """Return the screen of one dive, whose page is at ``page``."""
+    answers = [_dive_answer(report, name) for name in report.filters]
+    starts = max((row.starts for row in report.tables.evidence if row.evidence == "accuracy"), default=0)
+    notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
+    return [
+        Title(_facts(report)),
+        *_answer_parts(answers),
+        *_evidence_table(answers, "evidence", "on this dive", starts),
+        *_trust_lines(report),
+        *headline_table(report),
+        *track_fit_line(report),
+        *(() if has_reference(report) else (NO_REFERENCE,)),
+        Code(f"all tables{notes}: -v   page: {page}", ""),
+    ]
+
+
+def _trust_lines(report: Report) -> list[str]:
+    """Say of each candidate whether it is consistent, and how large its innovations are if it is the only one."""
+    if len(report.filters) > MOST_ANSWERS:
+        return []
+    lines, is_far_off = [], is_noise_far_off(report.tables, report.baseline)
+    for name in (name for name, found in report.filters.items() if found.verdict != Verdict.NOT_EVALUATED):
+        sizes = " Try --control, which fits the noise." if is_far_off else ""
+        nis = next((row for row in of_filter(name, report.tables.evidence) if row.quantity == "nis"), None)
+        if nis is not None and len(report.filters) == 1:
+            values = f"{report.baseline} {significant(nis.baseline, 3)}, {name} {significant(nis.value, 3)}"
+            sizes = f" {label(nis.quantity)}: {values}{', expected 1.' if is_far_off else '.'}{sizes}"
+        lines.append(f"{trust_sentence(report.tables, name, report.baseline)}{sizes}")
+    return list(dict.fromkeys(lines))
+
+
+def _facts(report: Report) -> str:
+    """Return a line with what was replayed."""
+    tables, duration_s = report.tables, report.log.duration_s
+    starts = max((row.starts for row in tables.evidence), default=0)
+    # The first filter that takes velocities, or beams where none does.
+    rows = [row for row in tables.consistency if row.measurement == "velocity"][:1]
+    kind = "velocities" if rows else "beams"
+    if not rows:
+        beams = [row for row in tables.consistency if is_beam(row.measurement)]
+        rows = [row for row in beams if row.filter == beams[0].filter]
+    rejected = sum(row.rejected for row in rows)
+    met = f"{sum(row.used for row in rows) + rejected} {kind}, {rejected} rejected" if rows else "no velocities"
+    # An onboard solution may cover only a part of the dive. The baseline is compared over all of it.
+    baseline = [row.samples for row in of_filter(report.baseline, tables.drift)]
+    compared = max([row.samples for row in tables.reference_error] + baseline, default=0)
+    known = has_reference(report)
+    reference = f"reference {compared / duration_s:.2g} Hz" if known else "no reference"
+    drawn = [counted(starts, "start")] if starts and known else []
+    return f"{report.log.name}: {', '.join([f'{duration_s:.0f} s', met, reference, *drawn])}"
+
+
+# --- Several dives: the pooled evidence, then a row for each dive.
+
+MOST_DIVES: Final = 20
+"""With more dives, only the failed and the worst have rows."""
+MOST_FAILED, WORST, MOST_CODES = 8, 3, 3
+FAILED: Final = GateStatus.FAILED
+"""Printed instead of a verdict."""
+
+
+def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
+    """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
+    answers = [_pooled_answer(found) for found in pooled_candidates(outcomes)]
+    return [
+        Title(_facts_of_dives(outcomes)),
+        *_answer_parts(answers),
+        *(part for table in _evidence_table(answers, "all dives", "over dives") for part in (Sentences(()), table)),
+        Sentences(()),
+        _dives_table(outcomes, {answer.name: answer for answer in answers}),
+        *_verdict_counts(outcomes),
+        Code(f"all tables: -v   page: {index}", ""),
+    ]
+
+
+def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
+    """Return a line with the number of dives, of those that failed, and of those with warnings."""
+    said = [counted(len(outcomes), "dive"), f"{failed_count(outcomes)} failed"]
+    codes = [
+        {note.code for note in report.notes if note.severity == Severity.WARNING} for report in reports_of(outcomes)
+    ]
+    if counts := Counter(code for found in codes for code in found):
+        named = [f"{code} {count}" for code, count in counts.most_common(MOST_CODES)]
+        named += [f"{len(counts) - MOST_CODES} more"] if len(counts) > MOST_CODES else []
+        said.append(f"warnings on {sum(map(bool, codes))}: {', '.join(named)}")
+    return ", ".join(said)
+
+
+def _verdict_counts(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """Yield a line with the number of dives with each verdict, by all evidence of a dive, for each candidate."""
+    reports, texts = reports_of(outcomes), []
+    for name in dict.fromkeys(name for report in reports for name in report.filters):
+        words = Counter(report.filters[name].verdict for report in reports if name in report.filters)
+        texts.append(f"{name} {', '.join(f'{count} {shouted(word)}' for word, count in words.most_common())}")
+    if texts:
+        yield f"dive by dive: {'; '.join(texts)}"
+
+
+def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, Answer]) -> DisplayTable:
+    """Return a row for each dive: of each candidate the ratio and verdict in the quantity that decided over dives."""
+    reports, chosen, footnotes = reports_of(outcomes), list(outcomes), list[str]()
+    names = list(dict.fromkeys(name for report in reports for name in report.filters))
+    quantities = {name: _quantity(name, reports, answers) for name in names}
+    found = {
+        report.log.name: {row.filter: row for row in report.tables.evidence if row.quantity == quantities[row.filter]}
+        for report in reports
+    }
+    if len(outcomes) > MOST_DIVES:
+        largest = {dive: max(finite(row.ratio) for row in rows.values()) for dive, rows in found.items() if rows}
+        worst = sorted(largest, key=lambda dive: -largest[dive])[:WORST]
+        failed = [outcome.log for outcome in outcomes if isinstance(outcome, Failure)][:MOST_FAILED]
+        chosen = [outcome for outcome in outcomes if _dive_name(outcome) in (*failed, *worst)]
+        left_out = len(outcomes) - len(chosen)
+        footnotes.append(f"failed dives and the {WORST} largest ratios; {left_out} more are on the page")
+    chosen.sort(key=lambda outcome: natural_key(_dive_name(outcome)))
+    rows = tuple(_dive_cells(outcome, names, found.get(_dive_name(outcome), {})) for outcome in chosen)
+    accuracy = [row for dive in found.values() for row in dive.values() if row.evidence == "accuracy"]
+    footnotes.insert(0, over_starts(max((row.starts for row in accuracy), default=0)))
+    if len(names) == 1:
+        [(name, quantity)] = quantities.items()
+        unit = next((f" [{row.unit}]" for dive in found.values() for row in dive.values()), "")
+        if any(row[3] != MISSING == row[4] for row in rows):
+            footnotes.insert(1, f"-: fewer than {FEWEST_SHOWN} effective samples")
+        baselines = " or ".join(sorted({report.baseline for report in reports}))
+        header = (label(quantity), f"{baselines}{unit}", f"{name}{unit}", "ratio", "on this dive", "", "")
+        end = len(header) if any(row[-1] for row in rows) else -1
+        cells, footnote = tuple(row[:end] for row in rows), "; ".join(filter(None, footnotes))
+        return DisplayTable("", header[:end], "lrrrrll"[:end], cells, footnote, spare=((1, 2), 4), folds=FOLDED)
+    is_same = len(set(quantities.values())) == 1
+    heads = [head for name in names for head in (name if is_same else f"{name}\n{label(quantities[name])}", "")] or [""]
+    first = label(quantities[names[0]]) if is_same else "dive by dive"
+    words = tuple(range(len(heads), 0, -2)) if len(names) > MOST_COLUMNS else ()
+    alignment = f"l{'rl' * len(names) or 'l'}"
+    return DisplayTable("", (first, *heads), alignment, rows, "; ".join(filter(None, footnotes)), spare=words)
+
+
+def _dive_name(outcome: Outcome) -> str:
+    return outcome.log if isinstance(outcome, Failure) else outcome.log.name
+
+
+def _dive_cells(outcome: Outcome, names: Sequence[str], rows: Mapping[str, EvidenceRow]) -> tuple[str, ...]:
+    """Write a dive: values, ratio, interval and verdicts of one candidate, ratios and verdicts of several."""
+    if isinstance(outcome, Failure):
+        failed = [*[MISSING] * 4, FAILED, ""] if len(names) == 1 else [MISSING, FAILED] * len(names) or [FAILED]
+        return (outcome.log, *failed)
+    cells = [outcome.log.name]
+    for name in names:
+        row = rows.get(name)
+        texts, verdicts = [MISSING] * 4, _verdict_cells(outcome, name, row)
+        if row is not None and outcome.filters[name].verdict != Verdict.NOT_EVALUATED:
+            values = (significant(row.baseline, 3), significant(row.value, 3))
+            texts = [*values, ratio_text(row.ratio), interval_text(row)]
+        cells += [*texts, *verdicts] if len(names) == 1 else [texts[2], verdicts[0]]
+    return tuple(cells)
+
+
+def _quantity(name: str, reports: Sequence[Report], answers: Mapping[str, Answer]) -> str:
+    """Return the quantity that decided over the dives, or could have; else the first evidence of a dive."""
+    spoken = answers[name].spoken if name in answers else []
+    rows = (row for report in reports for row in of_filter(name, report.tables.evidence) if row.evidence != CONSISTENT)
+    return next((row.quantity for row in (*spoken, *rows)), "")
+
+
+def _verdict_cells(report: Report, name: str, row: EvidenceRow | None) -> tuple[str, str]:
+    """Write the verdict of a row, and that of the whole dive with its evidence if it is another."""
+    if name not in report.filters:
+        return MISSING, ""
+    answer = _dive_answer(report, name)
+    if answer.verdict == Verdict.NOT_EVALUATED:
+        return shouted(answer.verdict), ""
+    own = MISSING
+    if row is not None:
+        own = row.verdict if interval_text(row) == MISSING else _verdict_with_reason(row)
+    other = answer.verdict if row is None or answer.verdict != row.verdict else ""
+    return own, f"{shouted(other)} by {answer.evidence}" if other and answer.spoken else ""
