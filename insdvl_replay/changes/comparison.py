@@ -16,12 +16,12 @@ from typing import Any, Final, NamedTuple
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
-from insdvl_replay.changes.cells import ROUNDING, Change, changes_of, named_rows, within
+from insdvl_replay.changes.answer import Answer, answer_lines, answer_plot, answer_table, answers_of
+from insdvl_replay.changes.cells import ROUNDING, Change, change_text, changes_of, named_rows, within
 from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import (
     Block,
-    Callout,
     DisplayTable,
     Only,
     Part,
@@ -32,7 +32,7 @@ from insdvl_replay.core.result import (
     Title,
     flattened,
 )
-from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, RATIO, Number, TableLayout
+from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, RATIO, Number, PooledRow, TableLayout
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.document import FORMS, MISSING, Column, counted, table_of
@@ -40,15 +40,18 @@ from insdvl_replay.show.document import FORMS, MISSING, Column, counted, table_o
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 """What may differ outside the tables, in the order of interest."""
 SAME_INPUTS: Final = "tool, settings and log are the same"
+WORSE: Final = "worse"  # instead of a percentage: fail on the answer
 MOST_OTHERS: Final = 12  # most changed values outside the evidence on the brief screen
 _MOST_DIFFERENCES: Final = 8
+NONE: Final = "none"  # instead of a missing value
+_LINE: Final = 60  # letters of settings in the title
 _NAMED_DIVES: Final = 2
 _HASH_DIGITS: Final = 12
 _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 """The main columns, and words with a rank, which summarise numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
 _CHANGED_WORDS: Final = {
-    "verdict": "{} is now {}, was {}",
+    "verdict": "{} against the baseline is now {}, was {}",
     "prediction": "the predicted improvement of {} is now {}, was {}",
 }
 """The sentence for a changed word, by column of the candidates."""
@@ -119,6 +122,7 @@ class Comparison(Struct, frozen=True):
 
     old: str
     new: str
+    answers: tuple[Answer, ...]
     tolerance_pct: float | None
     total: Tally
     by_table: dict[str, Tally]
@@ -206,6 +210,7 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
         changes=tuple(changes),
         notes=notes,
         baseline=next((is_.report.baseline for _, is_ in pairs), ""),
+        answers=answers_of(pairs),
     )
 
 
@@ -436,6 +441,11 @@ def parse_percentage(text: str, option: str) -> float:
     return float(match[1])
 
 
+def harmed(comparison: Comparison) -> str:
+    """Return the sentences of the filters whose answer is worse or partly worse; empty if there are none."""
+    return "; ".join(answer.sentence for answer in comparison.answers if answer.is_harm)
+
+
 def find_violation(comparison: Comparison, above_pct: float) -> str:
     """Return a sentence on values that are worse by more than allowed, in percent or points; empty if there are none.
 
@@ -465,6 +475,7 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
         kind="comparison",
         title=_title(comparison),
         tables={
+            "answer": Block.of(PooledRow, (row for answer in comparison.answers for row in answer.rows)),
             "difference": Block.of(Difference, comparison.differences),
             "dive": Block(("log", "old", "new", "matched_by", *ChangeVerdict), dives),
             "aggregate": Block.of(Aggregate, comparison.aggregates),
@@ -477,25 +488,31 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
     )
 
 
-def brief_document(comparison: Comparison) -> list[Part]:
-    """Return the brief screen: changed verdicts, differences outside the tables, and changed evidence."""
+def brief_document(comparison: Comparison, *, everything: bool = False) -> list[Part]:
+    """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence."""
     moved = [change for change in comparison.changes if change.verdict != ChangeVerdict.SAME]
-    tables = list(_evidence_that_moved(comparison))
-    if not tables and len(comparison.matched) == 1 and 0 < len(moved) <= MOST_OTHERS:
+    several = len(comparison.matched) > 1
+    tables = list(answer_table(comparison.answers, everything=everything) if several else _evidence_of_dive(comparison))
+    if not tables and not several and 0 < len(moved) <= MOST_OTHERS:
         tables = [_values(moved)]
     apart = tuple(f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None)
-    verdicts = _changed_verdicts(comparison)
     elsewhere = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
     found = f"changed values by table: {', '.join(elsewhere)}" if elsewhere else "no value changed"
     same = counted(comparison.total.counts[ChangeVerdict.SAME], "value")
+    verdicts, differences = _changed_verdicts(comparison), _brief_differences(comparison)
     return [
-        Title(_title(comparison)),
-        *(map(Callout, verdicts) if verdicts else ["no verdict changed"]),
-        _brief_differences(comparison.differences) if comparison.differences else SAME_INPUTS,
+        *_opening(comparison),
+        *([Sentences(tuple(verdicts))] if verdicts else []),
+        *([Sentences(tuple(differences))] if differences else []),
         *(with_fields(table, title_apart=True) for table in tables),
         *([Sentences(apart)] if apart else []),
         Sentences((f"{found}; {same} the same. All values: --all. One table: --table NAME",)),
     ]
+
+
+def _opening(comparison: Comparison) -> list[Part]:
+    """Return the title, which names the settings that differ, and the answers."""
+    return [Title(_title(comparison)), *answer_lines(comparison.answers), answer_plot(comparison.answers)]
 
 
 def comparison_document(comparison: Comparison) -> list[Part]:
@@ -512,8 +529,8 @@ def comparison_document(comparison: Comparison) -> list[Part]:
     tables.append(_values_over_dives(comparison.aggregates) if several else _values(comparison.changes))
     rest = "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
     return [
-        Title(_title(comparison)),
-        *map(Callout, opening_lines(comparison)),
+        *_opening(comparison),
+        Sentences(tuple(opening_lines(comparison))),
         *(with_fields(table, title_apart=True) for table in tables),
         *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []),
     ]
@@ -546,9 +563,26 @@ def _named(change: Change) -> str:
 
 
 def _title(comparison: Comparison) -> str:
-    matched = comparison.matched
+    """Name the settings that differ, as far as a line can hold them, then the dives and both sides."""
+    matched, texts = comparison.matched, _changed_settings(comparison)
     what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
-    return f"{what}: {comparison.new} against {comparison.old}"
+    named = texts[:1] + [
+        text for place, text in enumerate(texts) if place and len(", ".join(texts[: place + 1])) < _LINE
+    ]
+    more = f" and {len(texts) - len(named)} more settings" if len(texts) > len(named) else ""
+    return f"{', '.join(named) or 'same settings'}{more}: {what}, {comparison.new} against {comparison.old}"
+
+
+def _changed_settings(comparison: Comparison) -> list[str]:
+    """Return the settings that differ, each once, with the number of its dives if it does not differ in all."""
+    matched, texts = len(comparison.matched), []
+    for item in comparison.differences:
+        if item.block == "config":
+            some = f" (in {len(item.logs)} of {matched})" if len(item.logs) < matched else ""
+            texts.append(
+                change_text(item.key, *(NONE if side is None else side for side in (item.old, item.new))) + some
+            )
+    return texts
 
 
 def _changed_verdicts(comparison: Comparison) -> list[str]:
@@ -572,19 +606,22 @@ def _where(logs: Sequence[str], dives: int) -> str:
     return "all" if len(logs) == dives else ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
 
 
-def _brief_differences(found: Sequence[Difference]) -> Sentences:
-    """Return the differences outside the tables, one line each: first logs, then settings."""
+def _brief_differences(comparison: Comparison) -> list[str]:
+    """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
+    found = comparison.differences
     other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]
     names = sorted({name for item in other for name in item.logs}, key=natural_key)
     whose = "the log differs" if len(names) == 1 else f"the logs of {listed(names)} differ"
     lines = [f"{whose} (SHA-256). Changed values may come from the log"] if names else []
-    rest = sorted((item for item in found if item not in other), key=lambda item: item.block != "config")
-    for item in rest[:_MOST_DIFFERENCES]:
-        texts = (MISSING if value is None else value for value in (item.old, item.new))
-        old, new = (text if len(text) <= 30 else f"{text[:27]}..." for text in texts)
-        lines.append(f"{item.block} {item.key}: {old}, now {new}")
-    left = len(rest) - _MOST_DIFFERENCES
-    return Sentences((*lines, *([f"{left} more differ: --all"] if left > 0 else [])))
+    title, settings = _title(comparison), _changed_settings(comparison)
+    texts = [text for text in settings if text not in title]
+    for item in found:
+        if item not in other and item.block != "config":
+            sides = (NONE if side is None else side for side in (item.old, item.new))
+            texts.append(change_text(f"{item.block} {item.key}", *sides))
+    left = len(texts) - _MOST_DIFFERENCES
+    lines += texts[:_MOST_DIFFERENCES]
+    return [*lines, *([f"{left} more differ: --all"] if left > 0 else [])]
 
 
 # --- Tables.
@@ -597,33 +634,24 @@ _OLD_AND_NEW: Final[tuple[Column, ...]] = (
 )
 
 
-def _evidence_that_moved(comparison: Comparison) -> Iterator[DisplayTable]:
-    """Return the table of changed evidence; for NIS and NEES the distance from 1."""
+def _evidence_of_dive(comparison: Comparison) -> Iterator[DisplayTable]:
+    """Return the table of the changed evidence of one dive; for NIS and NEES the distance from 1."""
 
-    def owner(cell: Change | Aggregate) -> str:
+    def owner(cell: Change) -> str:
         return comparison.baseline if cell.column == "baseline" else cell.filter
 
-    def name(cell: Change | Aggregate) -> str:
+    def name(cell: Change) -> str:
         return f"{cell.row.upper()} distance from 1" if cell.row in _OFF_ONE else label(cell.row)
 
-    changed, several = only_changed(comparison), len(comparison.matched) > 1
-    cells: tuple[Change | Aggregate, ...] = changed.aggregates if several else changed.changes
     # The rows of every candidate repeat the baseline's values; show them once.
-    rows: dict[tuple[str, str], Change | Aggregate] = {}
-    for cell in cells:
+    rows: dict[tuple[str, str], Change] = {}
+    for cell in only_changed(comparison).changes:
         if cell.table == "evidence" and cell.column in ((RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")):
             rows.setdefault((owner(cell), cell.row), cell)
-    over_dives: tuple[Column, ...] = (
-        *((key, "r", key) for key in ("better", "worse", "same")),
-        ("median [%]", "r", "median_change_pct:signed_percent"),
-        ("worst [%]", "r", "worst_change_pct:signed_percent"),
-        ("in", "l", "worst_log"),
-    )
-    columns: tuple[Column, ...] = over_dives if several else (("", "l", "unit"), *_OLD_AND_NEW)
-    title, spare = ("Changed evidence, number of dives", (7, 4, 6)) if several else ("Changed evidence", (2, 3, 4))
     if rows:
-        columns = (("filter", "l", owner), ("evidence", "l", name), *columns)
-        yield table_of(title, rows.values(), columns, spare=spare)
+        named: tuple[Column, ...] = (("filter", "l", owner), ("evidence", "l", name), ("", "l", "unit"))
+        columns = (*named, *_OLD_AND_NEW[:-1])
+        yield table_of("Changed evidence", rows.values(), columns, spare=(2, 3, 4))
 
 
 def _cell_name(cell: Change | Aggregate) -> str:

@@ -39,7 +39,10 @@ def compare(
     everything: Annotated[bool, typer.Option("--all", help="Show all values, also unchanged ones.")] = False,
     fail_on: Annotated[
         str | None,
-        typer.Option(metavar="P%", help="Exit with 1 if a value is worse by more than this; 0% allows nothing."),
+        typer.Option(
+            metavar="worse|P%",
+            help="Exit with 1 if the answer for a filter is worse, or if any value is worse by more than P%.",
+        ),
     ] = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     verbose: opt.Verbose = 0,
@@ -48,20 +51,24 @@ def compare(
 ) -> None:
     """Compare stored results and show what changed.
 
-    Changed verdicts come first, then differences in settings, tool and log, then the evidence that changed. Dives are
-    matched by the hash of their log, then by name. Missing rows and missing numbers count as worse.
+    The first line names the settings that differ. Then each filter has a line: its verdict, new against old, with the
+    tests of `run` over all dives. From three dives on a difference can be better or worse, and only if it is above 5 %.
+    Dives are matched by the hash of their log, then by name. -q prints the verdicts alone.
 
     \b
     Example:
       insdvl-replay compare before/dive after/dive --only-changed
       insdvl-replay compare before after --format html > comparison.html
+      insdvl-replay compare before after -q --fail-on worse
       insdvl-replay compare before after --table reference_error --column rmse --fail-on 5%
     """
     from insdvl_replay.changes import comparison as changes
+    from insdvl_replay.changes.answer import answer_lines
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.errors import LimitError, visible
 
-    limit_pct = changes.parse_percentage(fail_on, "--fail-on") if fail_on else None
+    on_answer = fail_on == changes.WORSE
+    limit_pct = changes.parse_percentage(fail_on, "--fail-on") if fail_on and not on_answer else None
     tolerance_pct = changes.parse_percentage(tolerance, "--tolerance") if tolerance else None
     selection = changes.Selection(
         tuple(tables), tuple(columns), tuple(dives), changes.parse_pairs(pairs), tolerance_pct
@@ -69,14 +76,17 @@ def compare(
     found = changes.compare_results(old, new, selection)
     moved = changes.only_changed(found)
     chosen = everything or only_changed or tables or columns or dives or format_ == "latex"
-    lay_out = changes.comparison_document if chosen else changes.brief_document
     if quiet and format_ == "table":
-        write_stdout(f"{visible(changes.opening_lines(found)[0])}\n")
+        write_stdout("".join(f"{visible(line.text)}\n" for line in answer_lines(found.answers)))
     else:
-        document = lay_out(found if everything else moved)
+        shown = found if everything else moved
+        brief = changes.brief_document(shown, everything=verbose > 0)
+        document = changes.comparison_document(shown) if chosen else brief
         write_stdout(written(changes.comparison_result(moved if only_changed else found, document), format_))
     log_notes(found.notes, verbose=verbose > 0)
     if limit_pct is not None and (worse := changes.find_violation(found, limit_pct)):
+        raise LimitError(worse)
+    if on_answer and (worse := changes.harmed(found)):
         raise LimitError(worse)
 
 

@@ -1,0 +1,281 @@
+"""The answer of a comparison: each filter, new against old, by the evidence and the tests of a verdict.
+
+The errors of one filter in two runs of a dive are paired. Their ratio is one sample of each dive, pooled as the
+evidence of a candidate over several dives is. Of a single dive, its velocity errors over time are compared.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Annotated, Final, NamedTuple
+
+import msgspec
+from msgspec import Meta, Struct
+
+from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, DRIFT_QUANTITIES, label
+from insdvl_replay.core.result import Callout, DisplayTable, Html, Only, Part, StoredReport, StoredResult
+from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
+from insdvl_replay.core.words import EvidenceVerdict, Verdict
+from insdvl_replay.results.folder import TRAJECTORY_FILE
+from insdvl_replay.show.document import MISSING, Column, counted, table_of
+
+# Statistics need scipy, so that they are imported where they are needed.
+
+OLD, NEW = "before", "after"
+_MANY_TIMES: Final = 3.0  # a larger ratio is written in times
+_OVER_TIME: Final = {"position": ("position_error_m", "m"), "velocity": ("velocity_error_mps", "m/s")}
+"""Evidence of a single dive: columns of its trajectory, with their units."""
+_NO_CHANGE: Final = 0.01  # of every value that decides: so small a change on a dive is none
+FEWEST: Final = 3  # dives that decide, as `verdicts.FEWEST_DIVES`
+
+
+class Answer(Struct, frozen=True):
+    """One filter, new against old."""
+
+    filter: str
+    verdict: Verdict
+    sentence: str
+    dives: Annotated[int, Meta(description="dives that both sides have")]
+    evaluated: Annotated[int, Meta(description="of them, those in which the filter is evaluated on a side")]
+    lost: Annotated[int, Meta(description="dives in which only the old side is evaluated")]
+    largest_change: Annotated[Number, Meta(description="largest relative change of a value that decides, on any dive")]
+    rows: Annotated[tuple[PooledRow, ...], Meta(description="old values are in baseline, new ones in value")]
+
+    @property
+    def is_same(self) -> bool:
+        """Whether no value differs; or, of too few dives for statistics, none that decides by 1 %."""
+        largest = finite(self.largest_change)
+        return largest == 0.0 or (largest < _NO_CHANGE and self.evaluated < FEWEST)
+
+    @property
+    def is_harm(self) -> bool:
+        """Whether it fails `--fail-on worse`: worse, partly worse, or lost on a dive."""
+        return self.verdict in (Verdict.WORSE, Verdict.MIXED) or self.lost > 0
+
+    @property
+    def spoken(self) -> list[PooledRow]:
+        """The rows that made the verdict, or could have."""
+        from insdvl_replay.evaluation.verdicts import spoken_of
+
+        return spoken_of(self.verdict, self.rows, (*_OVER_TIME, *DECIDING_TOGETHER))
+
+
+class _Value(NamedTuple):
+    evidence: str
+    unit: str
+    value: float
+
+
+_Values = Mapping[str, Mapping[str, _Value]]  # by filter and quantity
+Pairs = Sequence[tuple[StoredResult, StoredResult]]
+
+
+def answers_of(pairs: Pairs) -> tuple[Answer, ...]:
+    """Compare each filter that both sides have with itself, over all dives."""
+    from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
+
+    values = [(_measured(old.report), _measured(new.report)) for old, new in pairs]
+    found = []
+    for name in dict.fromkeys(name for old, new in values for name in new if name in old):
+        having = [place for place, (old, new) in enumerate(values) if name in old and name in new]
+        sides = {place: [_is_evaluated(side.report, name) for side in pairs[place]] for place in having}
+        evaluated, lost = [place for place in having if any(sides[place])], list(sides.values()).count([True, False])
+        evidence = [
+            list(_rows(name, pairs[place][1].name, *(side[name] for side in values[place]))) for place in evaluated
+        ]
+        largest = max((_size_of_change(row) for rows in evidence for row in rows), default=math.inf)
+        pooled = pooled_candidate(name, OLD, evidence, len(having))
+        verdict, rows, sentence = pooled.verdict, pooled.rows, pooled_sentence(pooled)
+        if largest == 0.0 or (largest < _NO_CHANGE and len(evaluated) < FEWEST):
+            verdict, sentence = Verdict.EQUIVALENT, f"{name} {_is_same(largest)}."
+        elif len(having) == len(evaluated) == 1:
+            over_time = tuple(_on_one_dive(name, *pairs[having[0]]))
+            rows = (*over_time, *(row for row in rows if row.quantity not in _OVER_TIME))
+            verdict, sentence = _answer_of_one_dive(name, over_time)
+        found.append(Answer(name, verdict, sentence, len(having), len(evaluated), lost, largest, rows))
+    # What is not finite is missing, as in JSON.
+    return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
+
+
+def _measured(report: StoredReport) -> _Values:
+    """Return the values of the evidence of each filter on a dive; of a filter alone, of its drift and outage tests."""
+    found: dict[str, dict[str, _Value]] = {report.baseline: {}}
+
+    def add(name: str, quantity: object, evidence: object, unit: object, value: object) -> None:
+        if isinstance(value, int | float):
+            found.setdefault(name, {}).setdefault(str(quantity), _Value(str(evidence), str(unit), float(value)))
+
+    filters = report.config.get("filters")
+    rows = [row for row in report.tables.get("evidence", []) if row.get("evidence") != CONSISTENT]
+    # An onboard solution has a start of its own, and its rows other values of the baseline.
+    solutions = [name for name, own in filters.items() if own.get("solution")] if isinstance(filters, dict) else []
+    rows.sort(key=lambda row: row["filter"] in solutions)
+    for row in rows:
+        for name, column in ((str(row["filter"]), "value"), (report.baseline, "baseline")):
+            add(name, row["quantity"], row.get("evidence"), row.get("unit"), row.get(column))
+    if not rows:
+        for row in report.tables.get("drift", []):
+            if row["quantity"] in DRIFT_QUANTITIES and row["quantity"] != "position_h":
+                add(str(row["filter"]), row["quantity"], "accuracy", row.get("unit"), row.get("rms"))
+        for row in report.tables.get("outage", []):
+            add(str(row["filter"]), f"outage_{row['window_s']}s", "outage", "m", row.get("drift_rms_m"))
+    return found
+
+
+def _is_evaluated(report: StoredReport, name: str) -> bool:
+    """Return whether a filter is evaluated; the baseline is, if any candidate is."""
+    verdicts = {filter_: row.get("verdict") for filter_, row in report.filters.items()}
+    own = [verdicts[name]] if name in verdicts else list(verdicts.values())
+    return not own or any(verdict != Verdict.NOT_EVALUATED for verdict in own)
+
+
+def _rows(name: str, log: str, old: Mapping[str, _Value], new: Mapping[str, _Value]) -> Iterator[EvidenceRow]:
+    for quantity in (quantity for quantity in old if quantity in new):
+        (evidence, unit, was), now = old[quantity], new[quantity].value
+        ratio = 1.0 if was == now else now / was if was > 0.0 else None
+        yield EvidenceRow(log, name, evidence, quantity, unit, was, now, ratio, None, None, None, 1, 0, "")
+
+
+def _size_of_change(row: EvidenceRow) -> float:
+    """Return the relative change of a value that decides."""
+    decides = row.quantity in DECIDING_TOGETHER and row.ratio is not None
+    return abs(finite(row.ratio) - 1.0) if decides else 0.0 if row.baseline == row.value else _NO_CHANGE / 2.0
+
+
+def _is_same(largest: float) -> str:
+    return "has the same evidence as before" if largest == 0.0 else "changed by less than 1 % in all that decides"
+
+
+# --- One dive.
+
+
+def _on_one_dive(name: str, old: StoredResult, new: StoredResult) -> Iterator[PooledRow]:
+    """Compare the errors of a filter over the time of one dive, if there is a reference."""
+    from insdvl_replay.evaluation.series import paired_ratio, verdict_of_interval
+    from insdvl_replay.results.trajectory import read_trajectory
+
+    before, after = (read_trajectory(side.folder / TRAJECTORY_FILE) for side in (old, new))
+    if before is None or after is None or not (name in before.names and name in after.names):
+        return
+    for quantity, (column, unit) in _OVER_TIME.items():
+        was_sq, now_sq = (side.of(name, column) ** 2 for side in (before, after))
+        known = was_sq.shape == now_sq.shape and (was_sq + now_sq >= 0.0).any()
+        if known:
+            interval = paired_ratio(was_sq, now_sq)
+            paired = was_sq + now_sq >= 0.0
+            was, now = (math.sqrt(float(side[paired].mean())) for side in (was_sq, now_sq))
+            yield PooledRow(
+                new.name, name, "accuracy", quantity, unit, was, now, interval.ratio, interval.low, interval.high,
+                1, int(interval.ratio < 1.0), interval.p, verdict_of_interval(interval),
+            )  # fmt: skip
+
+
+def _answer_of_one_dive(name: str, rows: Sequence[PooledRow]) -> tuple[Verdict, str]:
+    from insdvl_replay.evaluation.verdicts import AGAINST, verdict_of
+
+    verdict = verdict_of(rows, tuple(_OVER_TIME))
+    first = next((row for row in rows if row.verdict == verdict), rows[0] if rows else None)
+    text = "there is no evidence" if first is None else f"{label(first.quantity)} {change_in_words(first)}"
+    return verdict, f"{name} {AGAINST[verdict]} {OLD} on this dive: {text}."
+
+
+# --- Show.
+
+
+def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
+    """Return a line for each filter: its verdict and the evidence that made it, or could have."""
+    from insdvl_replay.show.dive import TONES, shouted
+
+    words = [(answer.filter, shouted(answer.verdict)) for answer in answers]
+    widths = [max(map(len, column)) for column in zip(*words, strict=True)]
+    lines = []
+    for answer, pair in zip(answers, words, strict=True):
+        columns = [word.ljust(width) for word, width in zip(pair, widths, strict=True)]
+        lines.append(Callout("  ".join([*columns, _said(answer)]), TONES.get(answer.verdict, "")))
+    return lines
+
+
+def _said(answer: Answer) -> str:
+    """Write the evidence of an answer: the row that made it, both for a mixed one; or what would decide."""
+    if answer.is_same:
+        return _is_same(finite(answer.largest_change))
+    if answer.verdict == Verdict.NOT_EVALUATED:
+        return f"evaluated in only {answer.evaluated} of {counted(answer.dives, 'dive')}"
+    pieces, spoken = [], answer.spoken
+    for row in spoken if answer.verdict == Verdict.MIXED else spoken[:1]:
+        size, won = ("smaller", row.dives_won) if finite(row.ratio) <= 1.0 else ("larger", row.dives - row.dives_won)
+        of_dives = "" if row.dives == 1 or answer.verdict == Verdict.EQUIVALENT else f", {size} in {won} of {row.dives}"
+        pieces.append(f"{label(row.quantity)} {change_in_words(row)}{of_dives}")
+    if spoken and answer.verdict == Verdict.UNDECIDED:
+        pieces.append(_needed(spoken[0]))
+    pieces.append(f"no longer evaluated in {answer.lost} of {answer.dives}" if answer.lost else "")
+    return "; ".join(filter(None, pieces)) or "no evidence"
+
+
+def _needed(row: PooledRow) -> str:
+    from insdvl_replay.evaluation.series import RatioInterval, what_settles
+
+    if row.dives < FEWEST:
+        return f"at least {FEWEST} dives decide"
+    ends = finite(row.ratio), finite(row.low), finite(row.high)
+    return what_settles(RatioInterval(*ends, *ends[1:], float(row.dives), row.dives - 1.0), row.dives)
+
+
+def change_in_words(row: PooledRow) -> str:
+    """Write a ratio with its interval in percent, a large one in times."""
+    ratio, low, high = map(finite, (row.ratio, row.low, row.high))
+    low = math.nan if 1 < row.dives < FEWEST else low  # the interval of two dives says nothing
+    if math.isnan(ratio):
+        return MISSING
+    if ratio >= _MANY_TIMES:
+        return f"x {ratio:.3g}{'' if math.isnan(low) else f' [{low:.3g}, {high:.3g}]'}"
+    pct, low_pct, high_pct = (100.0 * (value - 1.0) for value in (ratio, low, high))
+    return f"{pct:+z.1f} %{'' if math.isnan(low) else f' [{low_pct:+z.1f}, {high_pct:+z.1f}]'}"
+
+
+_COLUMNS: Final[tuple[Column, ...]] = (
+    ("filter", "l", "filter"),
+    ("evidence", "l", "quantity:label"),
+    ("", "l", "unit"),
+    ("old", "r", "baseline:value"),
+    ("new", "r", "value:value"),
+    ("change", "r", change_in_words),
+    ("smaller", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+    ("", "l", "verdict"),
+)
+
+
+def answer_table(answers: Sequence[Answer], *, everything: bool) -> Iterator[DisplayTable]:
+    """Return the evidence behind the answers: all rows, or those that are better or worse and have a vote."""
+    rows = [row for answer in answers for row in answer.rows if finite(row.ratio) >= 0.0]
+    words = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
+    kept = [row for row in rows if everything or (row.verdict in words and row.quantity in DECIDING_TOGETHER)]
+    left = len(rows) - len(kept)
+    footnote = "old, new: medians over the dives. change: geometric mean over the dives, with its 95 % interval."
+    footnote += f" {left} more rows without a change that decides: -v" if left else ""
+    if kept:
+        yield table_of("Evidence, new against old", kept, _COLUMNS, footnote, spare=(2, 6, 3, 4))
+
+
+def answer_plot(answers: Sequence[Answer]) -> Part:
+    """Return forest plots for pages, one for each filter."""
+    from insdvl_replay.show.forest import ForestRow, forest
+
+    plots = []
+    for answer in answers:
+        spoken = answer.spoken
+        rows = [
+            ForestRow(
+                label(row.quantity),
+                row.ratio,
+                row.low,
+                row.high,
+                row.verdict,
+                change_in_words(row),
+                decides=row in spoken,
+            )
+            for row in answer.rows
+            if finite(row.ratio) > 0.0
+        ]
+        if rows and answer.largest_change:
+            plots.append(Html(forest(f"{answer.filter}: {NEW} over {OLD}", rows)))
+    return Only(("html",), tuple(plots))
