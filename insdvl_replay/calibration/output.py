@@ -342,7 +342,7 @@ def _between_dives(found: Calibration) -> Iterator[Figure]:
     for row in np.flatnonzero(drawn):
         parameter = PARAMETERS[row]
         value, sd = parameter.shown_as * own[:, row], parameter.shown_as * own_sd[:, row]
-        bars = Curve(np.repeat(place, 3), _interrupted(value - sd, value + sd), BEFORE)
+        bars = Curve(np.repeat(place, 3), _interrupted(value - sd, value + sd), BEFORE, name="")
         title, level = f"{parameter.label} [{parameter.unit}]", parameter.shown_as * float(common[row])
         curves = (bars, Curve(place, value, BEFORE, points=True))
         panels.append(Panel(title, _PLACES, curves, levels=(level,), x_whole=True))
@@ -356,7 +356,7 @@ def _drifts(rows: Sequence[HeldOutRow]) -> Iterator[Figure]:
     pairs = drifts_m[np.isfinite(drifts_m).all(axis=1)]
     if len(pairs):
         place = np.arange(1.0, len(pairs) + 1.0)
-        bars = Curve(np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE)
+        bars = Curve(np.repeat(place, 3), _interrupted(pairs[:, 0], pairs[:, 1]), REFERENCE, name="")
         ends = [Curve(place, pairs[:, i], style, points=True) for i, style in enumerate((BEFORE, AFTER))]
         caption = f"Median drift in 60 s without DVL; {counted(len(pairs), 'dive')} had windows."
         panel = Panel("horizontal drift [m]", _PLACES, (bars, *ends), x_whole=True)

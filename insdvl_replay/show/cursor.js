@@ -42,7 +42,7 @@ function samples(path, digits) {
 /** Lines of a panel, read when they are first needed. */
 function lines({ svg, digits }) {
   return (svg.lines ??= [...svg.querySelectorAll("[data-name]:not([data-name=''])")].map(path => ({
-    name: path.dataset.name, style: path.classList[1], kinds: path.classList, samples: samples(path, digits),
+    name: path.dataset.name, style: [...path.classList].slice(1).join(" "), kinds: path.classList, samples: samples(path, digits),
     band: [...svg.querySelectorAll(`.band.${path.classList[1]}`)].flatMap(edges => samples(edges)),
   })).filter(line => line.samples.length));
 }
@@ -63,7 +63,7 @@ function reading({ svg, track, unit }, { name, kinds, band }, { x, y, time }) {
   if (track) return kinds.contains("magnified") ? "" : `${name} ${value} north, ${across} east at ${time.toFixed(2)} s`;
   const edges = kinds.length > 2 ? [] : band.filter(edge => edge.x === x).map(edge => written(edge.y, svg.dataset.y));
   const [high, low] = [edges[0], edges.at(-1)];
-  return `${name} ${value}${!high ? "" : low === `-${high}` ? ` \u00b1${high}` : ` (${low} to ${high})`} at ${across} ${unit}`;
+  return `${name} ${value}${!high ? "" : low === `-${high}` ? ` \u00b1${high}` : ` (${low} to ${high})`} at ${across} ${unit}`.trim();
 }
 
 /** Show the cursor in all panels with the axis of this one; at a time, with dots on the tracks. */
@@ -76,16 +76,22 @@ function show(panel, time) {
 
 function draw(panel, time) {
   const { svg, plot, x, y, width, height, track } = panel, [scale, offset] = panel.view, [, , , down, , top] = panel.home[1];
-  const shown = lines(panel).map(line => ({ line, one: nearest(line.samples, time) }))
-    .filter(({ line, one }) => line.kinds[0] === "line" || Math.abs(one.time - time) * scale * 10 ** (panel.digits ?? 0) < 3);
+  const shown = lines(panel).map(line => ({ ...line, one: nearest(line.samples, time) }))
+    .filter(({ kinds, one }) => kinds[0] === "line" || Math.abs(one.time - time) * scale * 10 ** (panel.digits ?? 0) < 3);
   if (!shown.length) return;
   const place = nearest(shown.map(({ one }) => one), time).x * scale + offset, right = place < x + width / 2;
   const group = plot.appendChild(document.createElementNS(svg.namespaceURI, "g"));
   group.setAttribute("class", "cursor");
-  group.innerHTML = (track ? "" : `<path d="M${place} ${y}v${height}"/>`) + shown.map(({ line: { style }, one }, i) =>
-    `<circle class="${style}" cx="${one.x * scale + offset}" cy="${one.y * down + top}" r="3"/>
-    <text class="${style}" x="${right ? x + width - 4 : x + 4}" y="${y + 13 * (i + 1)}" text-anchor="${right ? "end" : "start"}"/>`).join("");
-  group.querySelectorAll("text").forEach((text, i) => (text.textContent = reading(panel, shown[i].line, shown[i].one)));
+  group.innerHTML = track ? "" : `<path d="M${place} ${y}v${height}"/>`;
+  let row = 0;
+  for (const line of shown) {
+    const text = reading(panel, line, line.one), at = `x="${right ? x + width - 4 : x + 4}" y="${y + 13 * (row + 1)}"`;
+    group.insertAdjacentHTML("beforeend", `<circle class="${line.style}" cx="${line.one.x * scale + offset}" cy="${line.one.y * down + top}" r="3"/>`);
+    if (!text) continue;
+    group.insertAdjacentHTML("beforeend", `<text class="${line.style}" ${at} text-anchor="${right ? "end" : "start"}"/>`);
+    group.lastChild.textContent = text;
+    row += 1;
+  }
   svg.classList.add("read");
 }
 

@@ -40,6 +40,10 @@ SETTLED: Final = 0.02
 """Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
 _SHOWN, _AIR = 0.97, 1.15
 """Share of the values that a panel shows, since one outage would flatten all others; and margin above."""
+_CONSTANT: Final = 0.5
+"""Values that fall to no less than this share of the largest are nearly constant."""
+_COMPLETE: Final = 0.98
+"""Share of the dive from which a curve is of all of it."""
 _MISSING: Final = 2.5
 """A gap is longer than this many usual steps."""
 _WIDEST: Final = 1.5
@@ -58,7 +62,12 @@ class Clock:
     @property
     def label(self) -> str:
         """The label of a time axis."""
-        return f"time [{self._unit[1]}]"
+        return f"time [{self.unit}]"
+
+    @property
+    def unit(self) -> str:
+        """The unit of a time axis."""
+        return self._unit[1]
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -107,7 +116,10 @@ def error_panel(replay: Replay) -> Iterator[Panel]:
             time = clock.time(replay.start_ns + np.round(curve.time_s * NS_PER_S).astype(np.int64))
             band = (curve.low_m, curve.high_m) if curve.starts > 1 else None
             curves.append(Curve(time, curve.median_m, filter_style(number), label=name, band=band))
-        panel = Panel("horizontal position error [m]", clock.label, dashes_on_top(curves))
+        # Runs from drawn starts may end before a long dive does.
+        ends, end = curves[0].x[-1], clock.limits[1]
+        part = f", first {ends:.0f} {clock.unit}" if ends < _COMPLETE * end else ""
+        panel = Panel(f"horizontal position error [m]{part}", clock.label, dashes_on_top(curves))
         yield _over_time(panel, shades_of(replay), clock)
     elif replay.curves.outage:
         yield _drift_panel(replay.curves.outage)
@@ -282,14 +294,17 @@ def _sigma_figure(histories: Sequence[History], clock: Clock) -> Figure:
         rows = history.updated | (waited_ns > _MISSING * usual_ns) | (waited_ns == 0)
         shown.append((rows, history.updated[rows] & _settled(history.time_ns[rows], clock)))
     for state in STATES:
-        highest, curves = 0.0, []
+        lowest, highest, curves = np.inf, 0.0, []
         for number, (history, (rows, pings)) in enumerate(zip(histories, shown, strict=True)):
             if history.predicted[state.index]:
                 sd = history.sd[rows, state.index] / state.factor
+                lowest = min(lowest, float(np.min(sd[pings], initial=np.inf)))
                 highest = max(highest, _settled_height(sd[pings]))
                 time = clock.time(history.time_ns[rows])
-                curves.append(Curve(time, sd, filter_style(number), label=history.filter))
-        y_limits = (0.0, highest) if highest else None
+                curves.append(Curve(time, sd, filter_style(number)))
+        # Nearly constant values fill the panel; others begin at zero.
+        low = lowest - (_AIR - 1.0) * highest if _CONSTANT * highest < lowest < highest else 0.0
+        y_limits = (low, highest) if highest else None
         title = f"{state.label} [{state.unit}]"
         panels.append(Panel(title, clock.label, dashes_on_top(curves), y_limits=y_limits))
     return Figure(

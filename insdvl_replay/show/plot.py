@@ -73,6 +73,8 @@ class Axis:
     def decimals(self) -> int:
         """Decimals of a count, for a linear axis."""
         span = max(self.high - self.low, 1e-3 * max(abs(self.low), abs(self.high))) * self.unit
+        if self.whole:
+            return 0
         decimals = self.digits - math.floor(math.log10(span))
         return 0 if -self.digits <= decimals < 0 else decimals
 

@@ -222,10 +222,11 @@ def window_figure(windows: pd.DataFrame) -> Figure:
         curves = []
         for (log, at), rows in reversed(list(of_arm.groupby(["log", "at"], sort=False))):  # the first log is on top
             style, n, rmse = _STYLES[str(at)], rows["n"].to_numpy(np.float64), rows["rmse_mps2"].to_numpy()
-            curves.append(Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}"))
+            name = f"{at} of the window" + ("" if log == first_log else f", {log}")
+            curves.append(Curve(n, rmse, style if log == first_log else f"{style} {_ALONE}", name=name))
             if log == first_log:
                 least = int(rmse.argmin())
-                curves.append(Curve(n[[least]], rmse[[least]], style, points=True))
+                curves.append(Curve(n[[least]], rmse[[least]], style, points=True, name=""))
         panels.append(
             Panel(
                 f"rms error [m/s²], {_ARM[str(arm)][2]}",
