@@ -104,7 +104,7 @@ def _propose(
     from insdvl_replay.inspection.trial_runs import settings_file
     from insdvl_replay.results.folder import result_file
 
-    with progress(f"trying settings{compiling()}"):
+    with progress("trying settings", remark=compiling()):
         proposed = settings_file(dives, config, allow_damaged=allow_damaged)
     with result_file(target, force=force) as path:
         path.write_text(proposed.text, "utf-8")
@@ -182,7 +182,7 @@ def calibrate(
     from insdvl_replay.calibration.innovations import ALL_GROUPS, REFERENCE_GROUPS, Geometry
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
     from insdvl_replay.calibration.reference import with_reference
-    from insdvl_replay.cli.screen import compiling, progress, written
+    from insdvl_replay.cli.screen import CALIBRATION, compiling, progress, written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.runtime import track_progress
     from insdvl_replay.results.folder import require_replaceable_file, result_file
@@ -198,7 +198,7 @@ def calibrate(
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
-    with progress(f"calibrating{compiling()}"):
+    with progress("calibrating", CALIBRATION, compiling()):
         dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
             return failed
@@ -459,7 +459,7 @@ def _keep(
     require_replaceable_folder(target, force=force)
     if png:
         require_matplotlib()
-    with progress(f"{text}{compiling()}"):
+    with progress(text, remark=compiling()):
         report = work()
     with result_folder(target, force=force) as folder:
         save_result(report, folder, png=png)

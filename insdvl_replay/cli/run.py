@@ -228,7 +228,7 @@ def outcomes(
     from insdvl_replay.batch.jobs import known_reports, replay_jobs
     from insdvl_replay.batch.workers import cluster_pool, local_pool
     from insdvl_replay.cli.messages import log_notes
-    from insdvl_replay.cli.screen import compiling, progress
+    from insdvl_replay.cli.screen import REPLAY, compiling, progress
 
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
@@ -241,9 +241,8 @@ def outcomes(
     if not changed:
         yield from replays
         return
-    names = changed[0].name.name if len(changed) == 1 else f"{len(changed)} dives"
-    with progress(f"replaying {names}{compiling()}") as bar, closing(replays):
+    text = f"replay {changed[0].name.name}" if len(changed) == 1 else "replay"
+    with progress(text, REPLAY, compiling()) as paused, closing(replays):
         for outcome in replays:
-            bar.stop()  # room for messages and tables
-            yield outcome
-            bar.start()
+            with paused():
+                yield outcome

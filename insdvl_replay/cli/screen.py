@@ -1,12 +1,15 @@
-"""Width and colours of the terminal, and progress bars, by rich."""
+"""Width and colours of the terminal, and progress, by rich."""
 
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Literal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from types import MappingProxyType
+from typing import Final, Literal
 
 from rich.console import Console, RenderableType
+from rich.text import Text
 
 from insdvl_replay.cli.messages import log_to_stderr
 from insdvl_replay.core.errors import visible
@@ -15,9 +18,6 @@ from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
 from insdvl_replay.show.render import document as parts_of
 from insdvl_replay.show.render import render
 from insdvl_replay.show.text import for_terminal
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
 
 PIPED_COLUMNS = 10_000
 """Width without a terminal, so that no line is wrapped."""
@@ -55,32 +55,91 @@ def printed(content: RenderableType) -> str:
     return "\n".join(line.rstrip() for line in capture.get().split("\n"))
 
 
+# --- Progress: stage, percent and time left, on the last line of a terminal.
+
+Plan = Mapping[str, float]
+"""Stages of a work in their order, with the share of the work that is done when each begins."""
+REPLAY: Final[Plan] = {
+    "reading the log": 0.0, "running the filters": 0.1, "DVL outage test": 0.13,
+    "running the filters from drawn starts": 0.16, "judging the filters": 0.6, "writing the results": 0.85,
+    "drawing the report": 0.92,
+}  # fmt: skip
+CALIBRATION: Final[Plan] = {
+    "reading": 0.0, "trying mountings": 0.05, "trying mountings with arm and delay": 0.1, "searching the delay": 0.15,
+    "fitting the innovations": 0.25, "fitting the reference": 0.7, "testing on held-out dives": 0.9,
+}  # fmt: skip
+COUNTED: Final = {"dive": "{text} {number} of {total} dives", "run": "{text}, run {number} of {total}"}
+"""Stages that contain the others, and how they are counted."""
+SHORT_S: Final = 3.0
+"""After it, percent and time left are shown."""
+
+
+class Meter:
+    """How far a work is, by the stages that it reports."""
+
+    def __init__(self, text: str, plan: Plan, remark: str = "", clock: Callable[[], float] = time.monotonic) -> None:
+        self._text, self._plan, self._remark, self._clock, self._start_s = text, plan, remark, clock, clock()
+        self._head, self._stage, self._done, self._total, self._share = text, "", 0, 1, 0.0
+
+    def report(self, stage: str, done: int, total: int) -> None:
+        """Take note of a stage, and of its steps if it has some."""
+        part = 0.0
+        if stage in COUNTED:
+            self._done, self._total, self._stage = done, total, ""
+            if total > 1:
+                self._head = COUNTED[stage].format(text=self._text, number=min(done + 1, total), total=total)
+        else:
+            self._stage = f": {stage} {done} of {total}" if total else f": {stage}"
+            if stage in self._plan or not self._plan:
+                begin = self._plan.get(stage, 0.0)
+                end = min((share for share in self._plan.values() if share > begin), default=1.0)
+                part = begin + (end - begin) * (done / total if total else 0.0)
+        self._share = max(self._share, (self._done + part) / self._total)
+
+    def line(self, columns: int) -> str:
+        """Write the line; after three seconds with percent and time left."""
+        elapsed_s, rest = self._clock() - self._start_s, ""
+        if elapsed_s >= SHORT_S and 0.0 < self._share < 1.0:
+            left_s = round(elapsed_s * (1.0 - self._share) / self._share)
+            hours, minutes = f"{left_s // 3600}:{left_s // 60 % 60:02d}" if left_s >= 3600 else "", f"{left_s // 60}"
+            rest = f"  {100.0 * self._share:.0f} %  {hours or minutes}:{left_s % 60:02d} left"
+        return f"{visible(f'{self._head}{self._remark}{self._stage}')[: max(columns - len(rest) - 1, 0)]}{rest}"
+
+
 @contextmanager
-def progress(text: str) -> Iterator["Progress"]:
-    """Show the stage of the work and its progress, on a terminal only."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+def progress(
+    text: str, plan: Plan = MappingProxyType({}), remark: str = ""
+) -> Iterator[Callable[[], AbstractContextManager[None]]]:
+    """Show how far the work is, on a terminal only; what is yielded makes room for messages and tables."""
+    console, meter = Console(file=sys.stderr, highlight=False), Meter(text, plan, remark)
+    if not console.is_terminal:
+        yield nullcontext
+        return
+    from rich.live import Live
 
-    console = Console(file=sys.stderr, highlight=False)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(visible(text), total=None)
+    def line() -> Text:
+        return Text(meter.line(console.width), no_wrap=True)
 
-        def show(stage: str, done: int, total: int) -> None:
-            counts = f" {done} of {total}" if total else ""
-            bar.update(task, description=visible(f"{text}: {stage}{counts}"), refresh=True)
-            if total:
-                bar.update(task, completed=done, total=total)
+    def show(stage: str, done: int, total: int) -> None:
+        meter.report(stage, done, total)
+        live.refresh()
 
-        with progress_listener(show):
-            yield bar
+    @contextmanager
+    def paused() -> Iterator[None]:
+        live.stop()
+        yield
+        live.start()
+
+    with Live(get_renderable=line, console=console, transient=True) as live, progress_listener(show):
+        yield paused
 
 
 def compiling() -> str:
-    """Return the end of a sentence that announces the first compilation; empty if the filter is compiled.
+    """Return the end of a text that announces the first compilation; empty if the filter is compiled.
 
     If compiled code cannot be stored, each run compiles again. A warning says why.
     """
     if reason := cache_problem():
         text = f"warning: compiled code cannot be stored: {reason}. Each run compiles the filter again, about 20 s"
         log_to_stderr(f"{text}; hint: INSDVL_REPLAY_CACHE=/a/folder/of/yours")
-    return "" if is_warm() else "; the first run on a machine compiles the filter, about 10 s"
+    return "" if is_warm() else ", the first run compiles the filter (10 s)"
