@@ -10,7 +10,7 @@ from functools import partial
 from written import PROJECT
 
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.result import Result
+from insdvl_replay.core.result import Figure, Result
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.show.figures import replay_figures
@@ -34,15 +34,20 @@ def lawnmower() -> Replay:
     return replay_dive(simulate_dive("lawnmower", seed=1), load_config())
 
 
+def titled(replay: Replay, title: str) -> Figure:
+    """Return the figure of a replay with a title."""
+    return next(figure for figure in replay_figures(replay) if figure.title == title)
+
+
 def sigmas(replay: Replay) -> bytes:
     """Draw the standard deviations of the nine states without the velocity errors, as the paper shows them."""
-    figure = replay_figures(replay)[0]
+    figure = titled(replay, "Predicted standard deviations")
     return sheet_svg(replace(figure, panels=figure.panels[3:]))
 
 
 def track(replay: Replay) -> bytes:
     """Draw the way from above, and the turn rate."""
-    motion = next(figure for figure in replay_figures(replay) if figure.title == "Motion of the vehicle")
+    motion = titled(replay, "Motion of the vehicle")
     return sheet_svg(replace(motion, panels=(motion.panels[0], motion.panels[2])))
 
 
