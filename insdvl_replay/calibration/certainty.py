@@ -114,12 +114,17 @@ def delay_weights(delays_s: Floats, sds_s: Floats) -> Floats:
 
 def correlations(fit: Fit, at_least: float) -> list[tuple[str, str, float]]:
     """Return the pairs of parameters with a strong correlation."""
+    correlation = correlation_matrix(fit)
+    rows, columns = np.nonzero(np.triu(np.abs(correlation) >= at_least, 1))
+    return [(NAMES[i], NAMES[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)]
+
+
+def correlation_matrix(fit: Fit) -> Floats:
+    """Return the correlations of the errors of the parameters, (8, 8); of the delay those of its mean over dives."""
     mean_of = _means(fit)
     cov = mean_of @ fit.cov @ mean_of.T
     sd = np.sqrt(np.diag(cov))
-    correlation = cov / np.outer(sd, sd)
-    rows, columns = np.nonzero(np.triu(np.abs(correlation) >= at_least, 1))
-    return [(NAMES[i], NAMES[j], float(correlation[i, j])) for i, j in zip(rows, columns, strict=True)]
+    return np.asarray(cov / np.outer(sd, sd))
 
 
 def mean_change(fit: Fit) -> Floats:

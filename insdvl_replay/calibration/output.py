@@ -8,8 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from insdvl_replay import __version__
+from insdvl_replay.calibration.answer import answer_of
 from insdvl_replay.calibration.calibration import AXES, Calibration
-from insdvl_replay.calibration.certainty import mean_change, one_by_one
+from insdvl_replay.calibration.certainty import correlation_matrix, mean_change, one_by_one
 from insdvl_replay.calibration.fit import delay_profile
 from insdvl_replay.calibration.innovations import (
     DELAY,
@@ -30,12 +31,13 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.errors import visible
 from insdvl_replay.core.result import (
     LIMIT,
+    PAGE,
     REFERENCE,
-    Callout,
     Curve,
     DisplayTable,
     Figure,
     Heading,
+    Only,
     Panel,
     Part,
     Remark,
@@ -50,25 +52,37 @@ from insdvl_replay.show.document import counted, number, table_of
 from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd
+NOTHING: Final = "Nothing could be estimated: these dives have no suitable manoeuvre."
 _KEPT: Final = {Estimated.HELD: "held; ", Estimated.IMPLAUSIBLE: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
 
-def calibration_result(found: Calibration, config: Config, written: str = "", figures: Sequence[Figure] = ()) -> Result:
-    """Return estimates, tables and warnings; ``written`` is the settings file."""
-    reference, is_found = found.reference, bool(found.estimated) or found.proposes_noise
+def calibration_result(
+    found: Calibration,
+    config: Config,
+    written: str = "",  # the settings file
+    figures: Sequence[Figure] = (),
+    *,
+    even_if_worse: bool = False,  # what is worse on held-out dives is written too
+    verbose: bool = False,
+) -> Result:
+    """Return the answer, estimates, tables and warnings."""
+    answer, reference = answer_of(found), found.reference
     names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
-    nothing = "Nothing could be estimated: these dives have no suitable manoeuvre."
-    headline = f"Estimated: {', '.join(names)}." if is_found else nothing
-    callout = Callout(headline, "good" if found.estimated and not found.warnings else "bad")
+    estimated = f"Estimated: {', '.join(names)}." if names else NOTHING
     reasons = [*_reasons(found), *map(Remark, found.warnings)]
     title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
-    parts: list[Part] = [Title(title), callout]
+    parts: list[Part] = [Title(title), *answer.lines, estimated]
     parts += [f"The mounting was unknown: {found.tried}."] if found.tried else []
     parts += _tables(found)
+    correlations = [_correlation_table(found)] if found.fit.free.any() else []
+    parts += correlations if verbose else [Only(PAGE, tuple(correlations))]
     parts += [Sentences(tuple(reasons))] if reasons else []
-    if written and is_found:
+    if written and names:
         parts.append(f"Nothing is applied automatically. To use it: `insdvl-replay run LOG -c ... -c {written}`")
+        kept = ["geometry"] * answer.keeps_geometry + ["noise"] * answer.keeps_noise
+        if kept and not even_if_worse:
+            parts.append(f"{written} leaves out the new {' and '.join(kept)}. To write all: --even-if-worse")
     parts += [Heading("Pictures"), *figures] if figures else []
     tables = {
         "parameters": found.all_rows,
@@ -79,6 +93,7 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
         "starts": reference.starts if reference else (),
     }
     facts: dict[str, Any] = {"before": {"dvl": found.before}, "after": {"dvl": found.after}, "warnings": found.warnings}
+    facts |= {"keeps_geometry": answer.keeps_geometry, "keeps_noise": answer.keeps_noise}
     if reference:
         for name, settings in (("before", reference.before), ("after", reference.after)):
             facts[name]["reference"] = {
@@ -87,7 +102,7 @@ def calibration_result(found: Calibration, config: Config, written: str = "", fi
     return Result(
         "calibration",
         title,
-        [callout, *reasons],
+        [*answer.lines, estimated, *reasons],
         {name: rows for name, rows in tables.items() if rows},
         config=config,
         facts=facts,
@@ -211,13 +226,26 @@ def _change(row: ParameterRow) -> str:
     return f"{sign}{number(abs(row.change))}{mark}"
 
 
+def _correlation_table(found: Calibration) -> DisplayTable:
+    """Return the correlations of the fitted parameters, each pair once."""
+    free, matrix = np.flatnonzero(found.fit.free), correlation_matrix(found.fit)
+    names = [PARAMETERS[row].label for row in free]
+    rows = [
+        (names[i], *(f"{matrix[row, column]:+.2f}" if column < row else "" for column in free[:-1]))
+        for i, row in enumerate(free)
+    ]
+    title = "Correlations of the estimates; near -1 or +1 the dives cannot separate two parameters"
+    header = ("", *(name.replace(" ", "\n") for name in names[:-1]))
+    return DisplayTable(title, header, f"l{'r' * (len(names) - 1)}", tuple(rows[1:]), folded=True)
+
+
 def _axes(name: str, row: DiveRow) -> str:
     return " ".join(f"{value:.2f}" for value in row.axes(name))
 
 
 def _noise_after(row: NoiseRow) -> str:
     if row.status == Estimated.NOT_DETERMINED:
-        return f"not determined{f', at most {number(row.after)}' if row.is_proposed else ''}"
+        return f"at most {number(row.after)}" if row.is_proposed else Estimated.NOT_DETERMINED
     return number(row.after) if row.status in (Estimated.ESTIMATED, Estimated.NOT_ASKED) else Estimated.HELD
 
 

@@ -1,11 +1,13 @@
 """The tables of a calibration."""
 
+import math
 from typing import Annotated, Final
 
 from msgspec import Meta, Struct
 
 from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
+from insdvl_replay.evaluation.notes import CLASSES
 
 
 class ParameterRow(Struct, frozen=True):
@@ -44,9 +46,10 @@ class NoiseRow(Struct, frozen=True):
 
     @property
     def is_proposed(self) -> bool:
-        """Whether it is estimated, or a limit below the configured value."""
+        """Whether it is estimated, or a limit below the configured value; never a noise that no sensor has."""
         limit = self.status == Estimated.NOT_DETERMINED and self.after != self.before
-        return limit or self.status == Estimated.ESTIMATED
+        is_possible = CLASSES[self.parameter].least <= self.after < math.inf
+        return is_possible and (limit or self.status == Estimated.ESTIMATED)
 
 
 class DiveRow(Struct, frozen=True):

@@ -68,7 +68,6 @@ class Moved(NamedTuple):
 
 _SHORT_NAMES: Final = {"rmse": "rms", "mean nis": "mean NIS", "mean nees": "mean NEES", "value": "", "fitted": ""}
 _MOST_LETTERS: Final = 30  # of a setting in a sentence
-_DIGITS: Final = range(3, 18)  # significant digits of two values; as many as it takes to tell them apart
 
 
 def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "") -> str:
@@ -78,12 +77,6 @@ def cell_name(table: str, filter_: str, row: str, column: str, baseline: str = "
     words = column.removesuffix(next((ending for ending in UNITS if column.endswith(ending)), "")).replace("_", " ")
     what = label(f"outage_{row}s" if table == "outage" else row).replace(",", "")
     return " ".join(filter(None, dict.fromkeys((filter_, what, _SHORT_NAMES.get(words, words)))))
-
-
-def numbers_apart(old: float, new: float) -> tuple[str, str]:
-    """Write two numbers with three digits, or with as many as it takes to tell them apart."""
-    texts = ((f"{old:.{digits}g}", f"{new:.{digits}g}") for digits in _DIGITS)
-    return next((pair for pair in texts if pair[0] != pair[1]), (f"{old:.3g}", f"{new:.3g}"))
 
 
 def change_text(key: str, old: str, new: str) -> str:

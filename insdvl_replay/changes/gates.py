@@ -14,7 +14,7 @@ import msgspec
 from msgspec import Struct
 from msgspec.structs import asdict, replace
 
-from insdvl_replay.changes.cells import Moved, agree, cell_name, judge_cell, named_rows, numbers_apart
+from insdvl_replay.changes.cells import Moved, agree, cell_name, judge_cell, named_rows
 from insdvl_replay.changes.expected import expected_of, expected_path, known_causes, stored_values, with_expected
 from insdvl_replay.changes.gate_file import ANY, POOLED, TRAJECTORY, Gate, Gates, is_meant
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
@@ -25,6 +25,7 @@ from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow, TableLayout
 from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus, Verdict
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE
 from insdvl_replay.results.stored_results import read_results
+from insdvl_replay.show.document import numbers_apart
 
 if TYPE_CHECKING:
     # Trajectories need numpy, and a check of tables alone must not wait for it.

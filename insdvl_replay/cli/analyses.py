@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -153,6 +154,9 @@ def calibrate(
             "--hold-out", metavar="SHARE|DIVE", help="Test dives that are not used in the fit: a share, or names."
         ),
     ] = [],
+    even_if_worse: Annotated[
+        bool, typer.Option("--even-if-worse", help="Also write estimates that are worse on held-out dives.")
+    ] = False,
     format_: opt.PrintedAs = "table",
     allow_damaged: opt.AllowDamaged = False,
     allow_code: opt.AllowCode = False,
@@ -165,8 +169,9 @@ def calibrate(
 
     The geometry is lever arm, mounting, delay and scale. The estimate uses the innovations of the dives and needs no
     reference. It needs turns and changes of speed. Parameters that the dives cannot determine are left unchanged.
-    Nothing is applied: -o writes settings for `run -c`. The exit code is 0 if something was estimated, and 3 if nothing
-    was or a log cannot be used.
+    Nothing is applied: -o writes settings for `run -c`. They leave out what is worse on held-out dives: a geometry with
+    more drift without DVL, or a noise with a worse NIS. -v also prints the correlations. The exit code is 0 if
+    something was estimated, and 3 if nothing was or a log cannot be used.
 
     \b
     Example:
@@ -176,6 +181,7 @@ def calibrate(
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o calibrated.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
+    from insdvl_replay.calibration.answer import answer_of
     from insdvl_replay.calibration.calibration import calibrate as calibrated
     from insdvl_replay.calibration.calibration import held_out_row
     from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
@@ -218,15 +224,17 @@ def calibrate(
         notes = (*read.dive.notes, *prepared.notes)
         log_notes([replace(note, text=f"{read.dive.name}: {note.text}") for note in notes], verbose=verbose > 0)
     settings_file = "" if output is None else str(output)
-    write_stdout(written(calibration_result(found, resolved, settings_file), format_))
+    lay_out = partial(calibration_result, found, resolved, settings_file, even_if_worse=even_if_worse)
+    write_stdout(written(lay_out(verbose=verbose > 0), format_))
     # Both files, or none if the work is interrupted.
     is_found = bool(found.estimated) or found.proposes_noise
     contents: dict[Path, str] = {}
     if page_file is not None:
         figures = calibration_figures(found, asked)
-        contents[page_file] = render(calibration_result(found, resolved, settings_file, figures), "html")
+        contents[page_file] = render(lay_out(figures), "html")
     if output is not None and is_found:
-        contents[output] = calibration_toml(found, [dive.prepared.alignment.start_ns for dive in asked])
+        better = found if even_if_worse else answer_of(found).applied(found)
+        contents[output] = calibration_toml(better, [dive.prepared.alignment.start_ns for dive in asked])
     with ExitStack() as stack:
         for file, content in contents.items():
             stack.enter_context(result_file(file, force=force)).write_text(content, "utf-8")

@@ -56,6 +56,12 @@ def significant(value: float | None, digits: int = 2) -> str:
     return MISSING if value is None or math.isnan(value) else f"{value:.{digits}g}"
 
 
+def numbers_apart(old: float, new: float) -> tuple[str, str]:
+    """Write two numbers with three digits, or with as many as it takes to tell them apart."""
+    texts = ((f"{old:.{digits}g}", f"{new:.{digits}g}") for digits in range(3, 18))
+    return next((pair for pair in texts if pair[0] != pair[1]), (f"{old:.3g}", f"{new:.3g}"))
+
+
 def percent(value: float | None) -> str:
     """Write a percentage with one digit."""
     return MISSING if value is None or math.isnan(value) else f"{value:z.1f} %"

@@ -1,23 +1,28 @@
 """The page of a calibration: the pictures show the numbers of the tables, and the file is written as others are."""
 
+import math
 import re
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from browser import PROGRAM, opened_browser
 from built_in import ReadDive, built_in_otherwise
 
+from insdvl_replay.calibration.answer import answer_of
 from insdvl_replay.calibration.calibration import Calibration, calibrate
+from insdvl_replay.calibration.certainty import correlation_matrix
 from insdvl_replay.calibration.fit import scatter_of
 from insdvl_replay.calibration.innovations import LABELS
-from insdvl_replay.calibration.output import DRAWN, calibration_figures, calibration_result
+from insdvl_replay.calibration.output import DRAWN, calibration_figures, calibration_result, calibration_toml
 from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.result import Figure
+from insdvl_replay.core.result import DisplayTable, Figure
 from insdvl_replay.core.tables import finite
-from insdvl_replay.show.render import render
+from insdvl_replay.show.render import document, render
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +59,62 @@ def test_pictures_show_what_the_tables_say(found: Calibration, dives: list[ReadD
         bars, values = panel.curves
         assert values.y.std(ddof=1) / np.sqrt(2.0) == pytest.approx(finite(row.between_dives_sd), rel=0.05)
         np.testing.assert_allclose((bars.y[::3] + bars.y[1::3]) / 2.0, values.y)
+
+
+def held_out(drift_m: float, nis: float) -> tuple[HeldOutRow, ...]:
+    """Two held-out dives whose drift was 0.76 m and whose NIS/dof was 0.5."""
+    return tuple(HeldOutRow(name, 0.5, 0.5, 3, 0.76, drift_m, nis) for name in ("a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("drift_m", "nis", "lines", "written"),
+    [
+        (0.40, 0.9, ("Use the new settings: .* 0.76 -> 0.4 m", "Change the noise: .* 0.5 -> 0.9"), (True, True)),
+        (0.77, 0.9, ("Keep your settings: .* 0.76 -> 0.77 m", "Change the noise: .* 0.5 -> 0.9"), (False, True)),
+        (0.40, 4.0, ("Use the new settings: .* 0.76 -> 0.4 m", "Keep your noise: .* 0.5 -> 4"), (True, False)),
+        (0.763, 0.9, ("Use the new settings: .*", "Change the noise: .*"), (True, True)),
+    ],
+)
+def test_what_is_worse_on_held_out_dives_is_not_written(
+    drift_m: float, nis: float, lines: tuple[str, str], written: tuple[bool, bool], found: Calibration
+) -> None:
+    assert found.proposes_noise
+    tested = replace(found, held_out=held_out(drift_m, nis))
+    answer = answer_of(tested)
+    for line, pattern in zip(answer.lines, lines, strict=True):
+        assert re.match(pattern, line.text)
+    settings = tomllib.loads(calibration_toml(answer.applied(tested), [0]))
+    assert ("lever_arm_m" in settings["dvl"], "beam_sd_mps" in settings["dvl"]) == written
+    assert {"lever_arm_m", "beam_sd_mps"} <= tomllib.loads(calibration_toml(tested, [0]))["dvl"].keys()
+
+
+def test_the_answer_is_first_and_without_held_out_dives_it_says_how_to_test(
+    found: Calibration, dives: list[ReadDive]
+) -> None:
+    result = calibration_result(found, dives[0].config)
+    first, second = answer_of(found).lines
+    assert "--hold-out" in first.text
+    assert list(document(result))[1:3] == [first, second]
+    kept = calibration_result(replace(found, held_out=held_out(0.9, 0.9)), dives[0].config, "found.toml")
+    assert "--even-if-worse" in render(kept, "md")
+
+
+def test_correlations_are_a_matrix_when_asked(found: Calibration, dives: list[ReadDive]) -> None:
+    def titles(**options: bool) -> list[str]:
+        parts = document(calibration_result(found, dives[0].config, **options))
+        return [part.title for part in parts if isinstance(part, DisplayTable)]
+
+    assert sum(title.startswith("Correlations") for title in titles(verbose=True)) == 1
+    assert not any(title.startswith("Correlations") for title in titles())
+    matrix = correlation_matrix(found.fit)
+    np.testing.assert_allclose(np.diag(matrix), 1.0)
+    np.testing.assert_allclose(matrix, matrix.T)
+
+
+@pytest.mark.parametrize("value", [0.0, math.nan, math.inf, 1e-12])
+def test_a_noise_that_no_sensor_has_is_never_proposed(value: float, found: Calibration) -> None:
+    row = next(row for row in found.noise_rows if row.is_proposed)
+    assert not msgspec.structs.replace(row, after=value).is_proposed
 
 
 @pytest.mark.nightly
