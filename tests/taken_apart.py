@@ -34,3 +34,10 @@ class Document(HTMLParser):
     def count(self, tag: str, style: str = "") -> int:
         classes = (attributes.get("class", "").split(" ") for name, attributes in self.elements if name == tag)
         return sum(style in names or not style for names in classes)
+
+
+def forest_rows(document: Document) -> list[tuple[str, list[str]]]:
+    """The rows of all forest plots: their text, and their classes, of which the first is the verdict."""
+    classes = [attributes.get("class", "").split() for tag, attributes in document.elements if tag == "g"]
+    verdicts = {"better", "worse", "equivalent", "undecided", "not-evaluated"}
+    return [row for row in zip(document.texts.get("g", []), classes, strict=True) if verdicts & set(row[1])]

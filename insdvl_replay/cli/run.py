@@ -91,11 +91,11 @@ def run(
     from insdvl_replay.results.folder import PAGE, result_file
     from insdvl_replay.show.dive import (
         TOGETHER,
-        dive_document,
         replay_result,
         require_tables,
         tables_named,
     )
+    from insdvl_replay.show.dive_page import dive_document
     from insdvl_replay.show.dives import INDEX, OVERVIEWS, Failure, overview_parts
     from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 

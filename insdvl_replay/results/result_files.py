@@ -32,7 +32,8 @@ from insdvl_replay.results.folder import (
     trajectory_file,
 )
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
-from insdvl_replay.show.dive import NO_REFERENCE, dive_page, has_reference
+from insdvl_replay.show.dive import NO_REFERENCE, has_reference
+from insdvl_replay.show.dive_page import dive_page
 from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 

@@ -1,17 +1,12 @@
 """What people see of one dive: its screen on a terminal, its tables in every format, its page."""
 
-import dataclasses
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from html import escape
 from typing import Any, Final, Protocol, TypeVar
 
-import msgspec
 from msgspec import Struct
 from msgspec.structs import replace
 
-from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import require_known, visible
+from insdvl_replay.core.errors import require_known
 from insdvl_replay.core.quantities import (
     CONSISTENT,
     DECIDING,
@@ -22,23 +17,13 @@ from insdvl_replay.core.quantities import (
 )
 from insdvl_replay.core.result import (
     PAGE,
-    PRINTED,
-    PRINTED_LONG,
     Block,
-    Callout,
-    Code,
     DisplayTable,
-    Figure,
-    Heading,
-    Html,
     Only,
-    Panel,
     Part,
     Report,
     Result,
-    Sentences,
     Title,
-    flattened,
 )
 from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, PooledRow, each_table, finite
 from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
@@ -58,7 +43,6 @@ from insdvl_replay.show.document import (
     Column,
     counted,
     decimal,
-    notes_table,
     number,
     percent,
     shown,
@@ -75,11 +59,6 @@ SPECIFIED: Final = (
     "smaller. without DVL: median drift in the DVL outage test, measured by the held-out velocities."
 )
 """The meaning of the columns of the headline."""
-MEANS: Final = (
-    "measured: how much smaller the error is, by the first row of the evidence; predicted: how much smaller sigma is, "
-    "mean of nine states, by the filter's own covariance"
-)
-"""The meaning of the columns of candidates."""
 TONES: Final[dict[str, str]] = {
     Verdict.BETTER: "good",
     Verdict.MIXED: "bad",
@@ -162,6 +141,25 @@ def as_shown(row: P) -> P:
     return replace(row, low=low, high=high, verdict=verdict_in_table(row), **why)
 
 
+def heading(report: Report) -> str:
+    """Return a line with what was replayed, and the verdict and prediction of each candidate."""
+    texts = [replayed(report)]
+    for name, candidate in report.filters.items():
+        loud = candidate.verdict in (Verdict.WORSE, Verdict.NOT_EVALUATED)
+        word = candidate.verdict.upper() if loud else candidate.verdict
+        if candidate.verdict != Verdict.NOT_EVALUATED:
+            prediction = f", {candidate.prediction}" if candidate.prediction != Prediction.UNDECIDED else ""
+            word = f"{word}; {percent(candidate.mean_improvement_pct)} predicted{prediction}"
+        texts.append(f"{name}: {word}")
+    return "; ".join(texts)
+
+
+def replayed(report: Report) -> str:
+    """Return the title of a replay."""
+    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
+    return f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
+
+
 # --- Tables.
 
 
@@ -200,34 +198,6 @@ def track_fit_line(report: Report) -> Iterator[str]:
         texts.append(f"{row.quantity} {finite(row.fitted):+.{digits}f}{sd} {row.unit}")
     if texts:
         yield f"track fit: {', '.join(texts)}"
-
-
-def glance_table(report: Report) -> DisplayTable:
-    """Return each candidate's verdicts, and its measured and predicted improvement."""
-    known, rows = has_reference(report), []
-    for name, candidate in report.filters.items():
-        *gains, prediction = gain_cells(report, name)
-        consistency_words = (prediction, candidate.consistency, candidate.credibility or MISSING)
-        rows.append((name, *gains, *(consistency_words if known else consistency_words[1:2])))
-    header = ("filter", "verdict", "measured", "predicted", *(("prediction",) if known else ()), "innovations")
-    words = "innovations and errors" if known else "innovations"
-    return DisplayTable(
-        "At a glance",
-        (*header, *(("errors",) if known else ())),
-        "llrrlll"[: 7 if known else 5],
-        tuple(rows),
-        f"{MEANS}; {words}: consistency, whether they are as large as the filter's sigma",
-    )
-
-
-def gain_cells(report: Report, name: str) -> tuple[str, str, str, str]:
-    """Write verdict, measured improvement, predicted improvement and prediction of a candidate."""
-    candidate = report.filters[name]
-    if candidate.verdict == Verdict.NOT_EVALUATED:
-        return Verdict.NOT_EVALUATED, MISSING, MISSING, MISSING
-    first = next((row for row in report.tables.evidence if row.filter == name and row.evidence != CONSISTENT), None)
-    measured = MISSING if first is None or first.ratio is None else percent(100.0 * (1.0 - first.ratio))
-    return candidate.verdict, measured, percent(candidate.mean_improvement_pct), candidate.prediction or MISSING
 
 
 def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
@@ -379,188 +349,6 @@ def tables_named(report: Report, *names: str) -> list[DisplayTable]:
     """Return some tables as shown."""
     wanted = (*names, *(["innovations"] if "consistency" in names else []))
     return [table for (name, _), table in tables_of(report).items() if name in wanted]
-
-
-# --- The document, and the page.
-
-MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
-
-
-def dive_document(
-    report: Report, first: Sequence[Part] = (), figures: Sequence[Part] = (), last: Sequence[Part] = ()
-) -> list[Part]:
-    """Return a report as a document: what was measured, then what the filters predict.
-
-    ``first`` is between the verdict and the evidence, ``figures`` after the evidence, ``last`` after all tables.
-    """
-    found = tables_of(report)
-
-    def named(*names: str) -> list[DisplayTable]:
-        return [table for (name, _), table in found.items() if name in names]
-
-    by_candidate, outage, references = named("evidence"), named("outage"), named("drift", "track_fit", "jumps")
-    gains = ("improvement", "convergence", "reference_error")
-    tables = [found[kind, name] for name in report.filters for kind in gains if (kind, name) in found]
-    tables += named("consistency", "innovations", "credibility")
-    glance = [dataclasses.replace(glance_table(report), links=())] if report.filters else []
-    return [
-        Only(PRINTED, (Title(heading(report)),)),
-        Only(PAGE, (Title(_replayed(report)),)),
-        *(Callout(candidate.sentence, TONES.get(candidate.verdict, "")) for candidate in report.filters.values()),
-        *headline_table(report, "This run: position error and drift without DVL", SPECIFIED),
-        *first,
-        Only(PAGE, tuple(by_candidate)),
-        *track_fit_line(report),
-        *([] if has_reference(report) else [NO_REFERENCE]),
-        Only(PRINTED, (*by_candidate, *outage)),
-        Only(PRINTED_LONG, tuple(references)),
-        *figures,
-        Heading("Tables"),
-        Only(PAGE, (*glance, *(dataclasses.replace(table, folded=True) for table in (*outage, *references, *tables)))),
-        Only(PRINTED, (*tables, Sentences(closing_lines(report)))),
-        *last,
-    ]
-
-
-def heading(report: Report) -> str:
-    """Return a line with what was replayed, and the verdict and prediction of each candidate."""
-    texts = [_replayed(report)]
-    for name, candidate in report.filters.items():
-        loud = candidate.verdict in (Verdict.WORSE, Verdict.NOT_EVALUATED)
-        word = candidate.verdict.upper() if loud else candidate.verdict
-        if candidate.verdict != Verdict.NOT_EVALUATED:
-            prediction = f", {candidate.prediction}" if candidate.prediction != Prediction.UNDECIDED else ""
-            word = f"{word}; {percent(candidate.mean_improvement_pct)} predicted{prediction}"
-        texts.append(f"{name}: {word}")
-    return "; ".join(texts)
-
-
-def _replayed(report: Report) -> str:
-    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
-    return f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
-
-
-def closing_lines(report: Report) -> tuple[str, ...]:
-    """Return a line for each candidate with its mean predicted improvement."""
-    consistency_words = "reference error and consistency" if has_reference(report) else "outage and consistency"
-    return tuple(
-        f"{name}: predicted by its own covariance, mean of nine states: "
-        f"{percent(means.mean_improvement_pct)} smaller sigma, "
-        f"{percent(means.mean_convergence_improvement_pct)} faster convergence "
-        f"(a filter without any change has {percent(means.mean_convergence_unchanged_pct)}; by the nearest approach "
-        f"{percent(means.mean_nearest_approach_improvement_pct)}). To check it, see {consistency_words}."
-        for name, means in report.filters.items()
-        if means.verdict != Verdict.NOT_EVALUATED
-    )
-
-
-def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
-    """Return the page of a replay; the same replay gives the same bytes."""
-    from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
-
-    caption = "Line: median of the runs from all starts. Shaded: range of the runs. " if len(first) > 1 else ""
-    sensors = captioned(
-        "Data coverage",
-        "Height: share of the time with valid samples. A dip is a gap.",
-        strips,
-    )
-    log = report.log
-    origin = {
-        "log": log.name,
-        "SHA-256 of the log": log.sha256 or "none",
-        "span on the log's clock": f"{log.start_ns} to {log.end_ns} ns",
-        "tool": f"{report.tool.name} {report.tool.version}",
-        "packages": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
-    }
-    channels = table_of(
-        "Channels of the log",
-        log.channels,
-        (
-            ("topic", "l", "topic"),
-            ("type", "l", "type_name"),
-            ("encoding", "l", "encoding"),
-            ("role", "l", lambda channel: channel.role or "not used"),
-            ("messages", "r", "messages"),
-        ),
-    )
-    return page(
-        dive_document(
-            report,
-            [pictures((*first, *_bars(report)), f"{caption}{HOW_TO_READ} {MEANING}")],
-            [Heading("Figures"), *figures, Html(sensors)],
-            [
-                Heading("Notes"),
-                notes_table(report.notes),
-                Heading("Provenance"),
-                facts(origin),
-                channels,
-                Code(changed_settings(report.config), "toml"),
-                settings_details(settings),
-            ],
-        )
-    )
-
-
-def changed_settings(config: Mapping[str, Any]) -> str:
-    """Write the settings that are not the defaults, a line each."""
-    usual = dict(flattened(msgspec.to_builtins(Config())))
-    lines = [f"{key} = {json.dumps(value)}" for key, value in flattened(config) if usual.get(key, ...) != value]
-    return "\n".join(["# settings that differ from the defaults", *lines] if lines else ["# all settings are defaults"])
-
-
-_MEASURED_BY: Final = {"phi_n": "level", "phi_e": "level", "phi_d": "heading"}
-"""States whose errors have an evidence row, with the name of that row."""
-_MOST_GAINS: Final = 2
-_FULL_PCT: Final = 100.0
-"""Longer bars end at the edge; the number next to them is complete."""
-
-
-def _bars(report: Report) -> Iterator[str]:
-    """Draw the predicted and the measured improvement of each candidate, where both are known."""
-    gains = {name: list(_gains(report, name)) for name in report.filters}
-    known = {name: found for name, found in gains.items() if found}
-    rows = ""
-    for name, found in known.items():
-        rows += f'<tr><th scope="rowgroup" colspan="4"><b>{escape(visible(name))}</b></th></tr>'
-        # With several candidates there is room for the mean and one state.
-        for title, predicted_pct, measured_pct in found[: _MOST_GAINS if len(known) > 1 else None]:
-            bars = ""
-            for style, value_pct, top in (("predicted", predicted_pct, 1), ("measured", measured_pct, 9)):
-                if value_pct is not None:
-                    end = max(-_FULL_PCT, min(_FULL_PCT, value_pct))
-                    place = f'x="{min(0.0, end):.1f}" y="{top}" width="{abs(end):.1f}" height="6"'
-                    bars += f'<rect class="{style}" {place}/>'
-            rows += (
-                f'<tr><th scope="row">{escape(title)}</th><td class="r">{percent(predicted_pct)}</td>'
-                f'<td class="r">{percent(measured_pct)}</td><td class="axis"><svg viewBox="-100 0 200 16" '
-                f'preserveAspectRatio="none"><path class="zero" d="M0 0V16"/>{bars}</svg></td></tr>'
-            )
-    if known:
-        yield (
-            '<section><h3>improvement, <b>predicted</b> (blue) and <b>measured</b></h3><table class="bars"><thead>'
-            '<tr><th>quantity</th><th class="r">predicted</th><th class="r">measured</th><th class="axis">'
-            "<span>&minus;100&nbsp;%</span><span>0</span><span>100&nbsp;%</span></th></tr></thead>"
-            f"<tbody>{rows}</tbody></table></section>"
-        )
-
-
-def _gains(report: Report, name: str) -> Iterator[tuple[str, Number, Number]]:
-    """Yield label, predicted and measured improvement in percent, where both are known; the mean first."""
-    if report.filters[name].verdict == Verdict.NOT_EVALUATED:
-        return
-    measured = {
-        row.quantity: 100.0 * (1.0 - row.ratio)
-        for row in report.tables.evidence
-        if row.filter == name and row.evidence in ("accuracy", "outage") and row.ratio is not None
-    }
-    predicted_pct = report.filters[name].mean_improvement_pct
-    for quantity, measured_pct in list(measured.items())[:1] if predicted_pct is not None else ():
-        yield f"mean / {label(quantity)}", predicted_pct, measured_pct
-    for row in of_filter(name, report.tables.improvement):
-        quantity = _MEASURED_BY.get(row.state, "")
-        if quantity in measured:
-            axis = label(row.state).partition(", ")[2]
-            yield quantity if quantity == "heading" else f"{quantity}, {axis}", row.improvement_pct, measured[quantity]
 
 
 # --- What screens and pages have in common.

@@ -1,5 +1,6 @@
 """Several dives as shown: the screen, the summary for scripts, the page with a link to each dive."""
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,21 +10,41 @@ from urllib.parse import quote
 from msgspec import Struct
 from msgspec.structs import astuple
 
-from insdvl_replay.core.quantities import is_whole, label
-from insdvl_replay.core.result import Callout, DisplayTable, Part, Report, Result, Title
+from insdvl_replay.core.quantities import DECIDING_TOGETHER, is_whole, label
+from insdvl_replay.core.result import (
+    PAGE,
+    PRINTED,
+    Callout,
+    DisplayTable,
+    Only,
+    Part,
+    Report,
+    Result,
+    Title,
+)
 from insdvl_replay.core.tables import Number, PooledRow
 from insdvl_replay.core.words import Severity, Verdict
-from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
 from insdvl_replay.show.dive import (
-    MEANS,
     TOGETHER,
     TONES,
     as_shown,
-    gain_cells,
     has_reference,
+    interval_text,
+    of_filter,
+    over_starts,
+    ratio_text,
     replay_result,
 )
-from insdvl_replay.show.document import MISSING, number, rows_csv, shown
+from insdvl_replay.show.document import MISSING, number, percent, rows_csv, shown
+from insdvl_replay.show.first_screen import (
+    DIVE_PAGE,
+    dives_forest,
+    evidence_forest,
+    first_screen,
+    section,
+    sentence_of_evidence,
+)
 from insdvl_replay.show.page import SIGNATURE, page
 
 
@@ -172,7 +193,7 @@ _TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}
 
 def index_page(outcomes: Sequence[Outcome]) -> bytes:
     """Return the page of several dives, in the order of the logs; a script lets the reader sort its table."""
-    return page([*_opening(outcomes), *_tables(outcomes)], "sorting.js")
+    return page([*_opening(outcomes, linked=True), *_tables(outcomes)], "sorting.js")
 
 
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
@@ -186,34 +207,73 @@ OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
     """Return several dives as a document: the pooled verdict, a row for each dive and candidate, pooled rows."""
     table, *pooled = _tables(outcomes)
-    return [*_opening(outcomes), replace(table, links=None), *pooled]
+    return [*_opening(outcomes, linked=False), replace(table, links=None), *pooled]
 
 
-def _opening(outcomes: Sequence[Outcome]) -> Iterator[Part]:
+def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
-    failed, counts = failed_count(outcomes), dict[str, Counter[str]]()
-    yield Title(f"{len(outcomes)} dives" + (f", {failed} of them failed" if failed else ""))
-    for report in reports_of(outcomes):
-        for name, candidate in report.filters.items():
-            counts.setdefault(name, Counter())[candidate.verdict] += 1
-    for pooled in pooled_candidates(outcomes):
-        yield Callout(pooled_sentence(pooled), TONES.get(pooled.verdict, ""))
-    found = (
-        f"{name}: {', '.join(f'{count} {word}' for word, count in words.most_common())}"
-        for name, words in counts.items()
+    failed, reports, candidates = failed_count(outcomes), reports_of(outcomes), pooled_candidates(outcomes)
+    names = list(dict.fromkeys(name for report in reports for name in report.filters))
+    compared = f": {', '.join(names)} against {reports[0].baseline}" if 0 < len(names) <= MOST_NAMED else ""
+    yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
+    found = "; ".join(f"{name}: {verdict_counts(name, reports)}" for name in names)
+    callouts = [Callout(pooled_sentence(pooled), TONES.get(pooled.verdict, "")) for pooled in candidates]
+    callouts += [Callout(f"Dive by dive, against the baseline: {found}.")] if found else []
+    yield Only(PRINTED, tuple(callouts))
+    sections = [_section(pooled, reports, linked=linked) for pooled in candidates]
+    evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
+    drawn = over_starts(max((row.starts for row in evidence), default=0))
+    caption = (
+        f"All dives: each is one sample. Predicted: median of the dives.{f' Dive by dive: {drawn}.' if drawn else ''}"
     )
-    if counts:
-        yield Callout(f"Dive by dive, against the baseline: {'; '.join(found)}.")
+    yield Only(PAGE, (first_screen(sections, caption),) if sections else tuple(callouts))
 
 
+def verdict_counts(name: str, reports: Sequence[Report]) -> str:
+    """Count the dives with each verdict on a candidate."""
+    words = Counter(report.filters[name].verdict for report in reports if name in report.filters)
+    return ", ".join(f"{count} {word}" for word, count in words.most_common())
+
+
+MOST_NAMED: Final = 4
+"""With more candidates, the title has no names."""
+_MOST_ROWS: Final = 8
+"""Evidence rows of the forest plot of all dives."""
+
+
+def _section(pooled: PooledCandidate, reports: Sequence[Report], *, linked: bool) -> str:
+    counts = f"Dive by dive: {verdict_counts(pooled.name, reports)}."
+    dives = dives_forest(pooled, reports, linked=linked)
+    if pooled.verdict == Verdict.NOT_EVALUATED:
+        said = f"Evaluated on only {pooled.evaluated} of {pooled.dives} dives. Settle the others first."
+        return section(pooled.verdict, pooled.name, pooled.baseline, [said, counts], [dives])
+    said = sentence_of_evidence(pooled.verdict, pooled.rows, DECIDING_TOGETHER)
+    sentences = [said, *_prediction(pooled), counts]
+    title = f"All dives, {pooled.evaluated} of {pooled.dives}" if pooled.evaluated < pooled.dives else "All dives"
+    plots = [evidence_forest(title, pooled.verdict, pooled.rows, _MOST_ROWS), dives]
+    return section(pooled.verdict, pooled.name, pooled.baseline, sentences, plots)
+
+
+def _prediction(pooled: PooledCandidate) -> Iterator[str]:
+    """Say how much smaller the predicted sigma is, median over the dives, and whether this is confirmed."""
+    size = "smaller" if pooled.predicted_pct >= 0.0 else "larger"
+    if math.isfinite(pooled.predicted_pct):
+        confirmed = f" {pooled.confirmation}." if pooled.confirmation else ""
+        yield f"predicted: {percent(abs(pooled.predicted_pct))} {size} sigma.{confirmed}"
+
+
+MEANS: Final = (
+    "evidence: the row that decided, or could have, with its ratio; predicted: how much smaller sigma is, mean of nine "
+    "states, by the filter's own covariance"
+)
+"""The meaning of the columns of candidates."""
 _HEADER: Final = (
-    "dive", "filter", "verdict", "measured", "predicted", "prediction", "baseline\nposition [m]",
+    "dive", "filter", "verdict", "evidence", "ratio", "interval", "predicted", "prediction", "baseline\nposition [m]",
     "candidate\nposition [m]", "consistency", "warnings", "reason of failure",
 )  # fmt: skip
-_ALIGNMENT: Final = "lllrrlrrlrl"
-_WITH_REFERENCE: Final = (5, 6, 7)
+_ALIGNMENT: Final = "llllrrrlrrlrl"
+_WITH_REFERENCE: Final = (7, 8, 9)
 """Columns that are empty without a reference."""
-_PAGE: Final = "report.html"
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -221,15 +281,15 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
     rows, links = [], []
     for outcome in outcomes:
         if isinstance(outcome, Failure):
-            rows.append((outcome.log, *[MISSING] * 9, outcome.reason))
+            rows.append((outcome.log, *[MISSING] * 11, outcome.reason))
             links.append("")
             continue
         warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
         for name, candidate in outcome.filters.items():
             positions = map(number, _position_rmse(outcome, name, "position_h"))
-            gains, consistency_words = gain_cells(outcome, name), (candidate.consistency, str(warnings), "")
-            rows.append((outcome.log.name, name, *gains, *positions, *consistency_words))
-            links.append(f"{quote(outcome.log.name)}/{_PAGE}")
+            consistency_words = (candidate.consistency, str(warnings), "")
+            rows.append((outcome.log.name, name, *_verdict_cells(outcome, name), *positions, *consistency_words))
+            links.append(f"{quote(outcome.log.name)}/{DIVE_PAGE}")
     known = any(has_reference(report) for report in reports_of(outcomes))
     left_out = {*(() if known else _WITH_REFERENCE), *(() if failed_count(outcomes) else (len(_HEADER) - 1,))}
     kept = [place for place in range(len(_HEADER)) if place not in left_out]
@@ -242,3 +302,14 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         links=tuple(links),
     )
     yield from _pooled_tables(outcomes)
+
+
+def _verdict_cells(report: Report, name: str) -> tuple[str, ...]:
+    """Write the verdict on a candidate, the row that decided, its ratio and interval, and the prediction."""
+    candidate = report.filters[name]
+    if candidate.verdict == Verdict.NOT_EVALUATED:
+        return (Verdict.NOT_EVALUATED, *[MISSING] * 5)
+    cells = [MISSING] * 3
+    for row in spoken_of(Verdict(candidate.verdict), of_filter(name, report.tables.evidence))[:1]:
+        cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
+    return (candidate.verdict, *cells, percent(candidate.mean_improvement_pct), candidate.prediction or MISSING)

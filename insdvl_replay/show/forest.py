@@ -13,7 +13,7 @@ from insdvl_replay.core.errors import visible
 from insdvl_replay.core.tables import Number, finite
 from insdvl_replay.evaluation.series import MARGIN
 
-LABEL_END, LEFT, RIGHT, TEXT = 29.0, 31.0, 67.0, 69.0
+LABEL_END, LEFT, RIGHT, TEXT = 28.0, 30.0, 64.0, 66.0
 """Percent of the width: the end of labels, both ends of the axis, the start of texts."""
 TOP, ROW, BOTTOM = 3, 17, 16
 """Pixels: free above the rows, the height of a row, the height of the axis labels."""
@@ -26,7 +26,7 @@ AXES: Final = {
     100.0: (0.01, 0.1, 1.0, 10.0, 100.0),
 }
 """Ticks by the upper end of the axis; the lower end is one over it."""
-_MOST_BEYOND: Final = 1.0 / 3.0
+_MOST_BEYOND: Final = 0.5
 """Share of the ratios that may be beyond the axis, as arrows."""
 _LONGEST_LABEL: Final = 20
 _RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -50,7 +50,7 @@ class ForestRow:
 def forest(title: str, rows: Sequence[ForestRow]) -> str:
     """Draw ratios, a row each, with footnotes; as HTML."""
     reasons = list(dict.fromkeys(row.why for row in rows if row.why))
-    notes = ". ".join(f"{_raised(number)} {escape(visible(why))}" for number, why in enumerate(reasons, 1))
+    notes = ". ".join(f"{_raised(number)} {unbroken(why)}" for number, why in enumerate(reasons, 1))
     footnote = f'<p class="footnote">{notes}.</p>' if notes else ""
     return f'<section class="forest"><h3>{escape(title)}</h3>{forest_svg(rows, reasons)}{footnote}</section>'
 
@@ -83,10 +83,15 @@ def place(ratio: float, end: float) -> float:
 
 
 def axis_end(rows: Sequence[ForestRow]) -> float:
-    """Return the upper end of the shortest axis that has at least two thirds of the ratios."""
+    """Return the upper end of the shortest axis that has at least half of the ratios."""
     ratios = [finite(row.ratio) for row in rows]
     sizes = [max(ratio, 1.0 / ratio) for ratio in ratios if 0.0 < ratio < math.inf]
     return next((end for end in AXES if sum(size > end for size in sizes) <= _MOST_BEYOND * len(sizes)), max(AXES))
+
+
+def unbroken(text: str) -> str:
+    """Write text as HTML whose numbers stay on one line with their percent sign."""
+    return escape(visible(text), quote=False).replace(" %", "&nbsp;%")
 
 
 def tone_class(verdict: str) -> str:

@@ -109,13 +109,9 @@ def settings_details(settings: str) -> Html:
     return Html(f"<details><summary>{title}</summary><pre>{escape(settings)}</pre></details>")
 
 
-def pictures(shown: Sequence[Panel | str], caption: str) -> Html:
-    """Return pictures in one row, each a panel, or a fragment with a title of its own."""
-    content = "\n".join(
-        f"<div>{picture}</div>" if isinstance(picture, str) else _zoomed(picture, f"first-{number}")
-        for number, picture in enumerate(shown, 1)
-    )
-    return Html(f'<div class="first">{content}</div><p class="footnote">{escape(caption)}</p>')
+def pictures(panels: Sequence[Panel]) -> str:
+    """Return panels one below the other, as HTML."""
+    return "".join(_zoomed(panel, f"first-{number}") for number, panel in enumerate(panels, 1))
 
 
 # --- Parts as HTML.
@@ -144,10 +140,10 @@ def _html(part: Part) -> str:
         case Sentences(lines):
             return "\n".join(map(_html, lines))
         case DisplayTable(title, folded=True):
-            content = f'<div class="tables">{_table(part)}</div>'
+            content = f'<div class="tables">{table_html(part)}</div>'
             return f'<details class="fold"><summary>{escape(title)}</summary>{content}</details>'
         case DisplayTable():
-            return _table(part)
+            return table_html(part)
         case Figure():
             return _figure(part)
         case Code(text):
@@ -157,7 +153,8 @@ def _html(part: Part) -> str:
     raise ValueError(f"{type(part).__name__} is no part of a page's body")
 
 
-def _table(table: DisplayTable) -> str:
+def table_html(table: DisplayTable) -> str:
+    """Return a table as HTML."""
     kinds = [' class="r"' if letter == "r" else "" for letter in table.alignment]
     header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
     rows = []

@@ -4,13 +4,14 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pandas as pd
 from made_reports import report, tables, unreferenced
-from taken_apart import Document
+from taken_apart import Document, forest_rows
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import Note
-from insdvl_replay.core.result import DisplayTable, Result
+from insdvl_replay.core.result import DisplayTable, Report, Result
 from insdvl_replay.show.dives import Failure, index_page
 from insdvl_replay.show.render import save_result
 from insdvl_replay.studies.observability import singular_value_figure
@@ -37,20 +38,65 @@ def study() -> Result:
 def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
     document = Document(index_page([report("a b"), report("two"), Failure("three", "three.mcap: is empty")]).decode())
     links = [attributes["href"] for tag, attributes in document.elements if tag == "a"]
-    assert links == ["a%20b/report.html", "two/report.html"]
+    assert links == ["a%20b/report.html", "two/report.html"] * 2, "from the plot and from the table"
     rows = [row.split("\n") for row in document.texts["tr"]]
     assert len(rows) == (1 + 3) + (1 + 2), "behind the dives a table of what both say together"
     assert re.findall(r"\d", document.texts["h1"][0]) == ["3", "1"]
     assert "three.mcap: is empty" in document.texts["td"]
-    assert document.texts["td"][:4] == ["a b", "aided", "better", "20.0 %"]
+    assert document.texts["td"][:6] == ["a b", "aided", "better", "drift in 30 s", "0.80", "0.70 .. 0.90"]
 
 
 def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
     alone = report(used=unreferenced(tables()))
     heads = [Document(index_page(outcomes).decode()).texts["tr"][0] for outcomes in ([alone], [alone, report("two")])]
-    assert "measured" in heads[0]
+    assert "evidence" in heads[0]
     assert "position" not in heads[0]
     assert "position" in heads[1], "one dive with a reference is enough"
+
+
+def dives_of_ratios(*ratios: float) -> list[Report]:
+    """A dive of each ratio of the drift, whose interval is a tenth to either side."""
+    (drift, *others), dives = tables().evidence, []
+    for number, ratio in enumerate(ratios, 1):
+        values = {"baseline": 1.0, "value": ratio, "ratio": ratio, "low": 0.9 * ratio, "high": 1.1 * ratio}
+        used = msgspec.structs.replace(tables(), evidence=[msgspec.structs.replace(drift, **values), *others])
+        dives.append(report(f"dive{number}", used=used))
+    return dives
+
+
+def test_index_starts_with_the_word_the_sentence_and_both_forests() -> None:
+    document = Document(index_page(dives_of_ratios(0.82, 0.78, 0.8)).decode())
+    word, against, decided, predicted, counts = document.texts["p"][:5]
+    assert (word, against) == ("BETTER", "aided against baseline")
+    assert re.match(r"Drift in 30 s 20\.0\s% smaller on 3 of 3 dives \(95\s% interval over dives: ", decided)
+    assert predicted.startswith("Predicted: 6.7")
+    assert counts == "Dive by dive: 3 better."
+    rows = [text for text, _ in forest_rows(document)]
+    assert rows[0] == "drift in 30 s0.80 better 3/3"
+    assert rows[-3:] == ["dive21 → 0.78 m", "dive31 → 0.8 m", "dive11 → 0.82 m"], "the smallest ratio first"
+
+
+def test_index_of_two_dives_draws_no_interval_and_says_why() -> None:
+    document = Document(index_page(dives_of_ratios(0.9, 0.7)).decode())
+    (pooled, _), *dives = forest_rows(document)
+    assert pooled == "drift in 30 s0.79 undecided 2/2 ¹"
+    assert "¹ fewer than 3 dives." in document.texts["p"]
+    assert document.count("line", "interval") == len(dives) == 2
+
+
+def test_index_of_many_dives_draws_the_largest_effects() -> None:
+    document = Document(index_page(dives_of_ratios(*(1.0 - 0.01 * number for number in range(25)))).decode())
+    drawn = [text for text, _ in forest_rows(document) if text.startswith("dive")]
+    assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive251 → 0.76 m", "dive61 → 0.95 m")
+    assert any(title.endswith("the 20 largest effects, 5 more in the table below") for title in document.texts["h3"])
+
+
+def test_index_of_dives_that_are_not_evaluated_draws_no_ratio() -> None:
+    dives = dives_of_ratios(0.9, 0.7)
+    lost = msgspec.structs.replace(dives[0].filters["aided"], verdict="not evaluated")
+    document = Document(index_page([msgspec.structs.replace(dive, filters={"aided": lost}) for dive in dives]).decode())
+    assert document.texts["p"][0] == "NOT EVALUATED"
+    assert document.count("circle") == 0
 
 
 def test_index_allows_its_own_script_alone() -> None:

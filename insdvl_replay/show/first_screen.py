@@ -1,0 +1,143 @@
+"""The first screen of a page: for each candidate its verdict, what decided, and the evidence as forest plots."""
+
+import math
+from collections.abc import Collection, Iterable, Sequence
+from html import escape
+from typing import Final
+from urllib.parse import quote
+
+from insdvl_replay.core.errors import visible_lines
+from insdvl_replay.core.quantities import CONSISTENT, DECIDING, DECIDING_TOGETHER, label
+from insdvl_replay.core.result import DisplayTable, Html, Report
+from insdvl_replay.core.tables import PooledRow, finite
+from insdvl_replay.core.words import EvidenceVerdict, Verdict
+from insdvl_replay.evaluation.verdicts import (
+    P,
+    Piece,
+    PooledCandidate,
+    changed,
+    interval_in_words,
+    left_undecided,
+    shown_interval,
+    spoken_of,
+    would_settle,
+)
+from insdvl_replay.show.dive import chosen_rows, ratio_text, reason_in_words, verdict_in_table
+from insdvl_replay.show.document import counted, significant
+from insdvl_replay.show.forest import ForestRow, forest, tone_class, unbroken
+from insdvl_replay.show.page import table_html
+
+READING: Final = (
+    "Ratio: error of the candidate over that of the baseline, with its 95 % interval. Left of 1 is better. Shaded: "
+    "within 5 %. Open dot: undecided. Bold: named in the sentence."
+)
+"""How to read the forest plots."""
+MOST_DIVES: Final = 20
+"""With more dives, those with the largest effects are drawn."""
+DIVE_PAGE: Final = "report.html"
+"""The page of a dive, in its folder."""
+
+
+def first_screen(
+    sections: Sequence[str], caption: str, pictures: str = "", tables: Sequence[DisplayTable] = ()
+) -> Html:
+    """Return sections of candidates with tables below and pictures next to them, and a caption."""
+    aside = f'<div class="aside">{pictures}</div>' if pictures else ""
+    reading = f"{READING} " if sections else ""
+    note = f'<p class="footnote">{unbroken(f"{reading}{caption}")}</p>'
+    shown = "".join([*sections, *map(table_html, tables)])
+    return Html(f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}')
+
+
+def section(verdict: Verdict, name: str, baseline: str, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
+    """Return the section of a candidate: the word, sentences, and plots next to them."""
+    said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in sentences)
+    against = f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
+    word = f'<p class="word">{verdict.upper()}</p>'
+    return (
+        f'<section class="candidate {tone_class(verdict)}"><div class="says">{word}{against}{said}</div>'
+        f"{''.join(plots)}</section>"
+    )
+
+
+def _stressed(sentence: str) -> str:
+    """Write a sentence as HTML, with whether a prediction is confirmed in bold."""
+    text = unbroken(f"{sentence[:1].upper()}{sentence[1:]}")
+    word = next((word for word in ("Not confirmed", "Confirmed") if word in text), "")
+    return text.replace(word, f"<b>{word}</b>", 1) if word else text
+
+
+def sentence_of_evidence(verdict: Verdict, rows: Sequence[Piece], deciding: Collection[str] = DECIDING) -> str:
+    """Say what decided: the change, and its interval or why it has none; then what would decide."""
+    pieces: list[str] = []
+    for row in _known(spoken_of(verdict, rows, deciding)):
+        piece = changed(row.quantity, finite(row.ratio))
+        if isinstance(row, PooledRow) and row.verdict != EvidenceVerdict.EQUIVALENT:
+            alike = row.dives_won if finite(row.ratio) <= 1.0 else row.dives - row.dives_won
+            piece += f" on {alike} of {counted(row.dives, 'dive')}"
+        if not pieces:
+            bounds = interval_in_words(row, "over dives" if isinstance(row, PooledRow) else "on this dive")
+            found = "; ".join(filter(None, (bounds.removeprefix("; "), _reason(row))))
+            piece += f" ({found})" if found else ""
+        pieces.append(piece)
+    needed = would_settle(verdict, rows, deciding)
+    settled = f" {needed[:1].upper()}{needed[1:]}." if needed else ""
+    return f"{'; '.join(pieces) or 'no evidence'}{left_undecided(verdict, rows, deciding)}.{settled}"
+
+
+def _known(rows: Iterable[P]) -> list[P]:
+    return [row for row in rows if not math.isnan(finite(row.ratio))]
+
+
+def _reason(row: Piece) -> str:
+    """Say why a row does not decide; equivalent is a decision."""
+    return "" if row.verdict == EvidenceVerdict.EQUIVALENT else reason_in_words(row)
+
+
+def evidence_forest(title: str, verdict: Verdict, rows: Sequence[Piece], most: int) -> str:
+    """Draw evidence rows: those that decided, the first of each kind, then others."""
+    deciding = DECIDING_TOGETHER if rows and isinstance(rows[0], PooledRow) else DECIDING
+    named = spoken_of(verdict, rows, deciding)
+    # Innovations have no vote, and the track of one dive is one sample.
+    known = [row for row in _known(rows) if row.evidence != CONSISTENT]
+    known = [row for row in known if row.evidence != "track" or row.quantity in deciding]
+    drawn = []
+    for row in chosen_rows(known, most):
+        won = f" {row.dives_won}/{row.dives}" if isinstance(row, PooledRow) else ""
+        text, ends = f"{ratio_text(row.ratio)} {verdict_in_table(row)}{won}", shown_interval(row)
+        drawn.append(
+            ForestRow(label(row.quantity), row.ratio, *ends, row.verdict, text, "", _reason(row), row in named)
+        )
+    return forest(title, drawn)
+
+
+def dives_forest(pooled: PooledCandidate, reports: Iterable[Report], *, linked: bool) -> str:
+    """Draw the dives one by one, the smallest ratio first, by the quantity of the row that decided."""
+    first = [*spoken_of(pooled.verdict, pooled.rows, DECIDING_TOGETHER), *pooled.rows][:1]
+    quantity, rows, starts = first[0].quantity if first else "", list[ForestRow](), 1
+    for report in (report for report in reports if pooled.name in report.filters):
+        name, link = report.log.name, f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
+        own = [row for row in report.tables.evidence if (row.filter, row.quantity) == (pooled.name, quantity)]
+        if report.filters[pooled.name].verdict == Verdict.NOT_EVALUATED:
+            rows.append(ForestRow(name, None, tone=Verdict.NOT_EVALUATED, text=Verdict.NOT_EVALUATED, link=link))
+        elif not own or own[0].ratio is None:
+            rows.append(ForestRow(name, None, text="no value", link=link))
+        else:
+            [row] = own
+            values = f"{significant(row.baseline, 3)} → {significant(row.value, 3)} {row.unit}"
+            rows.append(ForestRow(name, row.ratio, *shown_interval(row), row.verdict, values, link, _reason(row)))
+            starts = max(starts, row.starts if row.evidence == "accuracy" else 1)
+    rows.sort(key=_effect, reverse=True)
+    name = label(quantity) or "evidence"
+    title = f"{name[:1].upper()}{name[1:]}, dive by dive{'; values from its own start' if starts > 1 else ''}"
+    if (left_out := len(rows) - MOST_DIVES) > 0:
+        title += f": the {MOST_DIVES} largest effects, {left_out} more in the table below"
+    drawn = sorted(rows[:MOST_DIVES], key=lambda row: math.inf if row.ratio is None else row.ratio)
+    return forest(title, drawn)
+
+
+def _effect(row: ForestRow) -> float:
+    """Return the size of the effect of a row: how far its ratio is from 1."""
+    if row.ratio is None:
+        return -1.0
+    return abs(math.log(row.ratio)) if row.ratio > 0.0 else math.inf
