@@ -18,6 +18,7 @@ PAPER = {"straight": (18.76, 56.73), "figure_eight": (40.0, 54.0)}
 """Mean improvement and mean convergence in percent, as Levy and Klein give them."""
 
 
+HEAD = 13
 BAG = PROJECT.parent / "shared" / "data" / "ros1" / "rexrov2_simulated.bag"
 """Of a vehicle that others simulated. It has no licence, so it is not in the project."""
 
@@ -35,7 +36,8 @@ def archive() -> str:
     with TemporaryDirectory() as folder:
         shutil.copytree(PROJECT / "examples" / "archive" / "dives", Path(folder) / "examples" / "archive" / "dives")
         command = "run", "examples/archive/dives"
-        return f"```console\n$ insdvl-replay {' '.join(command)}\n{printed(Path(folder), *command)}\n```"
+        first = printed(Path(folder), *command).splitlines()[:HEAD]
+        return "\n".join(["```console", f"$ insdvl-replay {' '.join(command)} | head -n {HEAD}", *first, "```"])
 
 
 def foreign() -> str:
