@@ -134,7 +134,7 @@ def run(
 
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    unchanged = 0
+    unchanged, explained = 0, False
     for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun):
         name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
         if isinstance(report, Exception):
@@ -145,6 +145,9 @@ def run(
         unchanged += outcome.unchanged
         if talks or (alone and not quiet):
             log_notes(report.notes, verbose=verbose > 0)
+            if verbose and report.notes and not explained:
+                log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
+                explained = True
         if outcome.unchanged and alone and not (quiet or talks):
             log_to_stderr(f"unchanged {target}")
         if prints_each:

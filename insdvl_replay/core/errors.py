@@ -142,6 +142,24 @@ def listed(names: Iterable[str], most: int = LISTED) -> str:
     return ", ".join(first[:most]) + more
 
 
+def counted(count: int, noun: str) -> str:
+    """Write a count with its noun."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+_SINGULAR: Final = {"are": "is", "have": "has", "repeat": "repeats", "overlap": "overlaps", "count": "counts"}
+
+
+def counted_clause(count: int, clause: str) -> str:
+    """Write a count with a clause about several, such as ``gaps are longer than 1 s``; one gap *is* longer."""
+    if count != 1:
+        return f"{count} {clause}"
+    end = re.search("[:;]|$", clause).start()  # type: ignore[union-attr]
+    first, *words = clause[:end].split(" ")
+    first = f"{first[:-3]}y" if first.endswith("ies") else first.removesuffix("s") if first[-1:] == "s" else first
+    return f"1 {' '.join([first, *(_SINGULAR.get(word, word) for word in words)])}{clause[end:]}"
+
+
 def require_known(kind: str, name: str, known: Collection[str], *, most: int = LISTED) -> None:
     """Raise a ConfigError, with the nearest name that is known, if a name is not known."""
     if name not in known:

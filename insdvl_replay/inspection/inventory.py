@@ -11,7 +11,7 @@ from typing import Any, Final
 import msgspec
 
 from insdvl_replay.core.dive_record import Clock
-from insdvl_replay.core.errors import Note, listed
+from insdvl_replay.core.errors import Note, counted, listed
 from insdvl_replay.core.result import CellText, Code, DisplayTable, Only, Part, Remark, Result, Sentences, Title
 from insdvl_replay.core.words import Reading
 from insdvl_replay.show.document import MISSING, blocks_csv, number, table_of
@@ -166,7 +166,7 @@ def inspection_result(inventory: Inventory) -> Result:
     found += [Remark(f"blocker: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
     verdict = "can be replayed"
     if count := len(inventory.blockers):
-        verdict = f"cannot be replayed: {count} {'blocker' if count == 1 else 'blockers'}"
+        verdict = f"cannot be replayed: {counted(count, 'blocker')}"
     elif inventory.reading == Reading.SAMPLE:
         verdict = "no blocker in the first messages; --deep reads all messages"
     parts.append(Sentences((*found, Remark(verdict))))

@@ -20,7 +20,7 @@ from insdvl_replay.core.dive_columns import (
     TruthColumns,
 )
 from insdvl_replay.core.dive_record import Channel, Clock, dive_name
-from insdvl_replay.core.errors import LogError, Note, error_context
+from insdvl_replay.core.errors import LogError, Note, counted_clause, error_context
 from insdvl_replay.core.quantities import IS_REFERENCE
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import SENSORS
@@ -148,12 +148,14 @@ def loss_notes(tables: Iterable[Table]) -> list[Note]:
         if unreadable and table.fault is not None:
             behind_s = (np.array(table.unreadable_ns) - table.columns["log_time"].min()) * 1e-9
             text = (
-                f"{source.topic}: {unreadable} messages cannot be read and are left out, from {behind_s.min():.3f} s "
+                f"{source.topic}: {counted_clause(unreadable, 'messages are unreadable')} and left out, from "
+                f"{behind_s.min():.3f} s "
                 f"to {behind_s.max():.3f} s after the first readable one: {table.fault.message}"
             )
             left_out.append(Note("messages_unreadable", text, unreadable, Severity.WARNING, COPY_AGAIN))
         if table.duplicates:
-            text = f"{source.topic}: {table.duplicates} messages are in two channels or files; each is used once"
+            clause = counted_clause(table.duplicates, "messages are in two channels or files; each is used once")
+            text = f"{source.topic}: {clause}"
             left_out.append(Note("messages_repeated", text, table.duplicates))
     return [*missing, *left_out]
 

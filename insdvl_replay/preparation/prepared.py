@@ -22,7 +22,7 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
-from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
+from insdvl_replay.core.errors import ConfigError, LogError, Note, counted, error_context
 from insdvl_replay.core.states import DEG, DV, PHI, STATES
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import DvlMounting, moved_position
@@ -252,7 +252,7 @@ def apply_gap_policy(
     def described(gaps: Gaps) -> str:
         count, first_s = len(gaps.start_ns), (int(gaps.start_ns[0]) - origin_ns) * 1e-9
         return (
-            f"the IMU has {count} gap{'s' * (count > 1)} longer than {imu.max_gap_s:g} s: first at {first_s:.1f} s, "
+            f"the IMU has {counted(count, 'gap')} longer than {imu.max_gap_s:g} s: first at {first_s:.1f} s, "
             f"longest {gaps.length_s.max():.1f} s, total {gaps.length_s.sum():.1f} s"
         )
 

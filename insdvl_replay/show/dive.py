@@ -6,7 +6,7 @@ from typing import Any, Final, Protocol, TypeVar
 from msgspec import Struct
 from msgspec.structs import replace
 
-from insdvl_replay.core.errors import require_known
+from insdvl_replay.core.errors import counted, require_known
 from insdvl_replay.core.quantities import (
     CONSISTENT,
     DECIDING,
@@ -41,7 +41,6 @@ from insdvl_replay.show.document import (
     MISSING,
     TENFOLD,
     Column,
-    counted,
     decimal,
     number,
     percent,

@@ -12,6 +12,7 @@ from msgspec import Struct
 from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import Note, visible
+from insdvl_replay.core.errors import counted as counted
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import (
     PAGE,
@@ -77,11 +78,6 @@ def signed_percent(value: float | None) -> str:
     if value is None or abs(value) < 0.005:
         return MISSING if value is None else "0"
     return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
-
-
-def counted(count: int, noun: str) -> str:
-    """Write a count with its noun."""
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {

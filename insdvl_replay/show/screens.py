@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from insdvl_replay.core.errors import natural_key
+from insdvl_replay.core.errors import counted, natural_key
 from insdvl_replay.core.quantities import CONSISTENT, DECIDING, DECIDING_TOGETHER, is_beam, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
@@ -38,7 +38,7 @@ from insdvl_replay.show.dive import (
     verdict_in_table,
 )
 from insdvl_replay.show.dives import Failure, Outcome, failed_count, pooled_candidates, reports_of
-from insdvl_replay.show.document import MISSING, Column, counted, decimal, percent, significant, table_of
+from insdvl_replay.show.document import MISSING, Column, decimal, percent, significant, table_of
 
 # --- The answer for one candidate, on one dive or on several.
 

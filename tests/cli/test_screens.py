@@ -127,6 +127,13 @@ def test_colours_are_for_terminals_unless_somebody_wants_other(folder: Path) -> 
     assert "\x1b[1m" in on_terminal(folder, "--color", "always", NO_COLOR="1")
 
 
+def test_notes_end_with_where_to_learn_more(folder: Path) -> None:
+    text = plain(on_terminal(folder, "-v"))
+    notes, hint, _ = text.partition("`insdvl-replay explain CODE` tells more about a note\n")
+    assert hint
+    assert re.fullmatch(r"((info|warning): .*\n)+", notes)
+
+
 def test_a_pipe_has_no_colours_and_folds_nothing(folder: Path) -> None:
     command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
     done = subprocess.run(

@@ -8,7 +8,7 @@ import pytest
 
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.errors import ConfigError, LogError, error_context, listed, nearest
+from insdvl_replay.core.errors import ConfigError, LogError, counted_clause, error_context, listed, nearest
 from insdvl_replay.logs.formats.fields import check_path
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.read import find_roles
@@ -81,3 +81,16 @@ def test_an_error_knows_its_places_apart_from_its_sentence() -> None:
     assert (error.where, error.what, error.hint) == (("dive.mcap", "/imu"), "has no messages", "look again")
     assert str(error) == error.message == "dive.mcap: /imu: has no messages"
     assert error.inside("dive.mcap") == "/imu: has no messages"
+
+
+@pytest.mark.parametrize(
+    ("clause", "of_one"),
+    [
+        ("gaps are longer than 1 s: longest 2 s; 3 are longer", "1 gap is longer than 1 s: longest 2 s; 3 are longer"),
+        ("messages repeat the values of the one before", "1 message repeats the values of the one before"),
+        ("velocities of 9 are not finite and count as missing", "1 velocity of 9 is not finite and counts as missing"),
+    ],
+)
+def test_one_is_counted_in_the_singular(clause: str, of_one: str) -> None:
+    assert counted_clause(1, clause) == of_one
+    assert counted_clause(2, clause) == f"2 {clause}"

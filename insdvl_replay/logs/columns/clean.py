@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, Scalar, TimeNs, is_new, nanoseconds, seconds
-from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.errors import LogError, Note, counted_clause
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.tables import (
     RECORDER_STAMPS,
@@ -164,7 +164,7 @@ class Cleaner:
     ) -> None:
         """Add a note about some of the rows, with the time of the earliest."""
         first_s = 0.0 if first is None else float(seconds(self.time_ns[first].min(), self._first_ns))
-        text = f"{self.role}: {count} {text}; the first {first_s:.3f} s after the first message"
+        text = f"{self.role}: {counted_clause(count, text)}; the first {first_s:.3f} s after the first message"
         self.notes.append(Note(f"{self.table.source.code}_{code}", text, count, severity, hint))
 
     def _keep_rows(

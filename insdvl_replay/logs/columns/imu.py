@@ -61,7 +61,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
     if not possible.all():
         cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
-        reason = "samples are above 50 g or 2000 deg/s, or all six readings are zero"
+        reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
         cleaner.keep_possible(possible, reason, _LOST_HINT)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
@@ -107,7 +107,7 @@ def _drop_spikes(cleaner: Cleaner, specific_force_b: Floats, angular_rate_b: Flo
     if count and is_few(count, len(spikes)):
         good = np.ones(len(specific_force_b), np.bool_)
         good[cleaner.rows[spikes]] = False
-        reason = "samples are spikes of over 20 m/s^2 or 200 deg/s (20 times the usual step)"
+        reason = "samples have spikes of over 20 m/s^2 or 200 deg/s (20 times the usual step)"
         cleaner.keep(good, "spikes", reason, Severity.WARNING, "check the instrument and its cable")
 
 

@@ -27,7 +27,7 @@ from insdvl_replay.core.dive_columns import (
     is_new,
     nothing,
 )
-from insdvl_replay.core.errors import LogError, Note, read_regular
+from insdvl_replay.core.errors import LogError, Note, counted_clause, read_regular
 from insdvl_replay.core.states import DEG, DV, PHI
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
@@ -251,7 +251,8 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
     order, rows = rows_among(table.sampled, cleaner.rows, len(table))
     cov, wrong = _covariances(table, completed, found, order, rows)
     if wrong:
-        text = f"{table.source.role}: {wrong} covariances are not positive definite and count as missing"
+        clause = counted_clause(wrong, "covariances are not positive definite and count as missing")
+        text = f"{table.source.role}: {clause}"
         hint = "correct the program that writes them; without covariances the consistency is not evaluated"
         notes.append(Note("solution_covariance", text, wrong, Severity.WARNING, hint))
     return SolutionColumns(motion, moved_n, cleaner.times[rows], cov), notes

@@ -131,7 +131,7 @@ class Table:
     def damage_error(self) -> LogError:
         """Return the error with which a log is refused of which messages cannot be read."""
         faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
-        return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "messages")
+        return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "message")
 
 
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
 from insdvl_replay.core.dive_columns import TimeNs, seconds
-from insdvl_replay.core.errors import LogError, Note, listed
+from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.words import Severity
 
 Span = tuple[int, int]  # first and last log time, ns
@@ -122,18 +122,18 @@ class ChangedLogError(LogError):
     """A file has changed since it was opened."""
 
 
-def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], places: str = "damaged places") -> LogError:
+def damaged_file_error(faults: Sequence[LogError], saved: Iterable[TimeNs], place: str = "damaged place") -> LogError:
     """Return the error for a damaged log: its first fault, the count of the others, and what could be saved.
 
     The log times of all messages that can be read are given in parts, ns.
     """
     first, *others = faults
-    what = f"{first.what} ({len(others)} more {places})" if others else first.what
+    what = f"{first.what} ({counted(len(others), f'more {place}')})" if others else first.what
     times = np.concatenate([np.empty(0, np.int64), *saved])
     hint = "no message in it can be read; copy it again from the recorder"
     if times.size:
         span_s = float(seconds(times.max(), int(times.min())))
-        hint = f"--allow-damaged uses the {span_s:.1f} s and {times.size} messages that can be read"
+        hint = f"--allow-damaged uses the {span_s:.1f} s and {counted(times.size, 'message')} that can be read"
     return LogError(what, hint, *first.where)
 
 
@@ -143,8 +143,7 @@ def damage_note(name: str, found: Iterable[Damage], lost: str) -> Note:
     damages = sorted(found)
     shown = "; ".join(f"byte {damage.offset}: {damage.found}" for damage in damages[:_SHOWN])
     more = f"; and {len(damages) - _SHOWN} more" if len(damages) > _SHOWN else ""
-    places = "1 place" if len(damages) == 1 else f"{len(damages)} places"
-    text = f"{name} is damaged in {places}, {lost} ({shown}{more})"
+    text = f"{name} is damaged in {counted(len(damages), 'place')}, {lost} ({shown}{more})"
     return Note("log_damaged", text, len(damages), Severity.WARNING, COPY_AGAIN)
 
 
@@ -582,5 +581,5 @@ class ChunkedFile(LogFile):
             lost_by_topic = ["no messages"]
         longest_s = max(gap_ns.values(), default=0) * 1e-9
         what = listed(lost_by_topic, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
-        damaged = f", {size} bytes are damaged" if size else ""
+        damaged = f", {counted_clause(size, 'bytes are damaged')}" if size else ""
         return f"{what} are lost{damaged}{'; the end of the recording is unknown' if is_open else ''}"

@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.errors import Note, listed
+from insdvl_replay.core.errors import Note, counted_clause, listed
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
@@ -380,7 +380,8 @@ class McapFile(ChunkedFile):
                     chunk.counts = content.counts()
         for channel_id, count in self._counts().items():
             if channel_id not in self._channels:
-                self.damage(len(self.file), f"{count} messages are of channel {channel_id}, which is not defined")
+                clause = f"messages are of channel {channel_id}, which is not defined"
+                self.damage(len(self.file), counted_clause(count, clause))
 
     # --- Chunks.
 

@@ -14,7 +14,7 @@ import msgspec
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
-from insdvl_replay.core.errors import LogError, Note, is_writable, read_text, visible
+from insdvl_replay.core.errors import LogError, Note, counted_clause, is_writable, read_text, visible
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
@@ -94,7 +94,8 @@ class Recording:
             following = zip(reached, spans[1:], strict=False)
             overlaps = [(end - start) * 1e-9 for end, (start, _) in following if end >= start]
             if overlaps:
-                text = f"{len(overlaps)} files overlap with the file before, by up to {max(overlaps):.3f} s"
+                clause = f"files overlap with the file before, by up to {max(overlaps):.3f} s"
+                text = counted_clause(len(overlaps), clause)
                 notes.append(Note("files_overlap", text, len(overlaps)))
         return tuple(notes)
 

@@ -17,7 +17,7 @@ from urllib.parse import quote
 import numpy as np
 
 from insdvl_replay.core.dive_columns import TimeNs
-from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.errors import LogError, Note, counted_clause
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.log_file import COPY_AGAIN, Block, FileBytes, LogChannel, LogFile, UnusableFileError
 
@@ -157,7 +157,7 @@ class SqliteFile(LogFile):
         whole = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
         wrong = self._base.execute(f"SELECT count(*) FROM messages WHERE NOT ({whole})").fetchone()[0]
         if wrong:
-            raise self._damaged(f"{wrong} rows of the table 'messages' are not messages")
+            raise self._damaged(counted_clause(wrong, "rows of the table 'messages' are damaged"))
         cursor = self._base.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id")
         parts = [np.empty((3, 0), np.int64)]
         while batch := cursor.fetchmany(_ROWS):
@@ -167,7 +167,7 @@ class SqliteFile(LogFile):
         topic_ids, places, counts = np.unique(self._topic_ids, return_inverse=True, return_counts=True)
         for id_, count in zip(topic_ids.tolist(), counts.tolist(), strict=True):
             if id_ not in self._numbers:
-                raise self._damaged(f"{count} messages are of topic {id_}, which is not defined")
+                raise self._damaged(counted_clause(count, f"messages are of topic {id_}, which is not defined"))
         self._channel_ids = np.array([self._numbers[id_] for id_ in topic_ids.tolist()], np.int64)[places]
         found = np.bincount(self._channel_ids, minlength=len(listed)).tolist()
         self.channels = tuple(
