@@ -86,13 +86,16 @@ def dive_document(
 
 def _first_screen(report: Report, panels: Sequence[Panel], headline: Sequence[DisplayTable]) -> Iterator[Part]:
     """Yield the verdicts with their evidence, and next to them the panels and the headline."""
-    sections = [_section(report, name) for name in report.filters]
+    sections = [dive_section(report, name) for name in report.filters]
     runs = "Errors over time: median and range of the runs from all starts. " if len(panels) > 1 else ""
     caption = f"{runs}{HOW_TO_READ} {MEANING}" if panels else ""
     yield first_screen(sections, caption, pictures(panels), headline)
+    if any(candidate.sentence.endswith(SHARED) for candidate in report.filters.values()):
+        yield SHARED
 
 
-def _section(report: Report, name: str) -> str:
+def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
+    """Return the section of a candidate on one dive."""
     candidate, evidence = report.filters[name], of_filter(name, report.tables.evidence)
     verdict, known = Verdict(candidate.verdict), has_reference(report)
     if verdict == Verdict.NOT_EVALUATED:
@@ -102,10 +105,9 @@ def _section(report: Report, name: str) -> str:
         sentence_of_evidence(verdict, evidence),
         prediction_line(candidate, evidence, has_reference=known),
         trust_sentence(report.tables, name, report.baseline),
-        *([SHARED] if candidate.sentence.endswith(SHARED) else []),
     ]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
-    return section(verdict, name, report.baseline, sentences, [evidence_forest("Evidence", verdict, evidence, most)])
+    return section(verdict, name, report.baseline, sentences, [evidence_forest(title, verdict, evidence, most)])
 
 
 def closing_lines(report: Report) -> tuple[str, ...]:

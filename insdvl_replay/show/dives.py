@@ -36,6 +36,7 @@ from insdvl_replay.show.dive import (
     ratio_text,
     replay_result,
 )
+from insdvl_replay.show.dive_page import dive_section
 from insdvl_replay.show.document import MISSING, number, percent, rows_csv, shown
 from insdvl_replay.show.first_screen import (
     DIVE_PAGE,
@@ -221,6 +222,9 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     callouts += [Callout(f"Dive by dive, against the baseline: {found}.")] if found else []
     yield Only(PRINTED, tuple(callouts))
     sections = [_section(pooled, reports, linked=linked) for pooled in candidates]
+    for name in (name for name in names if name not in {pooled.name for pooled in candidates}):
+        [report] = (report for report in reports if name in report.filters)
+        sections.append(dive_section(report, name, f"Evidence on {report.log.name} alone"))
     evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
     drawn = over_starts(max((row.starts for row in evidence), default=0))
     caption = (

@@ -43,7 +43,7 @@ def first_screen(
 ) -> Html:
     """Return sections of candidates with tables below and pictures next to them, and a caption."""
     aside = f'<div class="aside">{pictures}</div>' if pictures else ""
-    reading = f"{READING} " if sections else ""
+    reading = f"{READING} " if any("<svg" in section for section in sections) else ""
     note = f'<p class="footnote">{unbroken(f"{reading}{caption}")}</p>'
     shown = "".join([*sections, *map(table_html, tables)])
     return Html(f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}')
@@ -51,7 +51,9 @@ def first_screen(
 
 def section(verdict: Verdict, name: str, baseline: str, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
     """Return the section of a candidate: the word, sentences, and plots next to them."""
-    said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in sentences)
+    # A name keeps its first letter.
+    begun = (text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}" for text in sentences)
+    said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in begun)
     against = f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
     word = f'<p class="word">{verdict.upper()}</p>'
     return (
@@ -62,7 +64,7 @@ def section(verdict: Verdict, name: str, baseline: str, sentences: Sequence[str]
 
 def _stressed(sentence: str) -> str:
     """Write a sentence as HTML, with whether a prediction is confirmed in bold."""
-    text = unbroken(f"{sentence[:1].upper()}{sentence[1:]}")
+    text = unbroken(sentence)
     word = next((word for word in ("Not confirmed", "Confirmed") if word in text), "")
     return text.replace(word, f"<b>{word}</b>", 1) if word else text
 
@@ -129,9 +131,10 @@ def dives_forest(pooled: PooledCandidate, reports: Iterable[Report], *, linked: 
             starts = max(starts, row.starts if row.evidence == "accuracy" else 1)
     rows.sort(key=_effect, reverse=True)
     name = label(quantity) or "evidence"
-    title = f"{name[:1].upper()}{name[1:]}, dive by dive{'; values from its own start' if starts > 1 else ''}"
+    title = f"{name[:1].upper()}{name[1:]}, dive by dive"
     if (left_out := len(rows) - MOST_DIVES) > 0:
         title += f": the {MOST_DIVES} largest effects, {left_out} more in the table below"
+    title += "; values from its own start" if starts > 1 else ""
     drawn = sorted(rows[:MOST_DIVES], key=lambda row: math.inf if row.ratio is None else row.ratio)
     return forest(title, drawn)
 

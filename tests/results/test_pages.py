@@ -88,7 +88,13 @@ def test_index_of_many_dives_draws_the_largest_effects() -> None:
     document = Document(index_page(dives_of_ratios(*(1.0 - 0.01 * number for number in range(25)))).decode())
     drawn = [text for text, _ in forest_rows(document) if text.startswith("dive")]
     assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive251 → 0.76 m", "dive61 → 0.95 m")
-    assert any(title.endswith("the 20 largest effects, 5 more in the table below") for title in document.texts["h3"])
+    assert any("the 20 largest effects, 5 more in the table below" in title for title in document.texts["h3"])
+
+
+def test_index_has_the_section_of_a_candidate_that_only_one_dive_has() -> None:
+    document = Document(index_page([report("one"), Failure("two", "two.mcap: is empty")]).decode())
+    assert document.texts["p"][:2] == ["BETTER", "aided against baseline"]
+    assert "Evidence on one alone" in document.texts["h3"]
 
 
 def test_index_of_dives_that_are_not_evaluated_draws_no_ratio() -> None:
