@@ -32,7 +32,7 @@ def gather(target: Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         text = LINK.sub(lambda link, here=path: rewritten(link, here), path.read_text("utf-8"))
         file.write_text(CODE.sub(drawn, text), "utf-8")
-    for picture in (PROJECT / "docs").glob("*.svg"):
+    for picture in (PROJECT / "docs").glob("*.[sp][vn]g"):
         shutil.copy(picture, target / picture.name)
     shutil.copy(PROJECT / "docs" / "generate" / "site.css", target)
 
@@ -46,7 +46,7 @@ def rewritten(link: re.Match[str], page: Path) -> str:
     linked = (page.parent / name).resolve()
     if not linked.exists():
         raise ValueError(f"{page.name}: {address} leads nowhere")
-    if linked.suffix == ".svg" and linked.parent == PROJECT / "docs":
+    if linked.suffix in {".svg", ".png"} and linked.parent == PROJECT / "docs":
         return f"{mark}[{text}]({up(page)}{linked.name})"
     if linked not in SOURCES:
         return f"{text} (`{linked.relative_to(PROJECT).as_posix()}`)"

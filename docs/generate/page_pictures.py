@@ -1,0 +1,38 @@
+"""Pictures of the pages that a replay writes: their first screens, as a browser shows them. Needs Chromium.
+
+`python docs/generate/page_pictures.py` draws them; fonts differ between machines, so no test holds them equal.
+"""
+
+import subprocess
+import sys
+import tempfile
+from base64 import b64decode
+from pathlib import Path
+
+from written import PROJECT
+
+sys.path.insert(0, str(PROJECT / "tests"))
+from browser import opened_browser  # after its folder is known
+
+PAGES = {
+    "page_of_a_dive": (["sample_logs/figure_eight.mcap"], "figure_eight/report.html"),
+    "page_of_dives": (["examples/archive/dives"], "index.html"),
+}
+WIDTH_PX, HEIGHT_PX = 1366, 640
+
+
+def main() -> None:
+    """Replay the samples, and save the first screen of each page."""
+    with tempfile.TemporaryDirectory() as name, opened_browser(Path(name) / "profile") as browser:
+        for picture, (logs, page) in PAGES.items():
+            output = Path(name) / picture
+            command = [sys.executable, "-m", "insdvl_replay", "run", *logs, "-o", str(output), "-q"]
+            subprocess.run(command, cwd=PROJECT, check=True, capture_output=True)
+            browser.open(output / page, WIDTH_PX)
+            clip = {"x": 0, "y": 0, "width": WIDTH_PX, "height": HEIGHT_PX, "scale": 1}
+            found = browser.call("Page.captureScreenshot", format="png", clip=clip)
+            (PROJECT / "docs" / f"{picture}.png").write_bytes(b64decode(found["data"]))
+
+
+if __name__ == "__main__":
+    main()
