@@ -31,7 +31,7 @@ SEED: Final = 1
 SAME_PCT: Final = 0.05  # A smaller change of a standard deviation is ``same``: with one digit it would read 0.0 %.
 BEYOND: Final = 1e200  # Replaces larger or not finite squares; no filter recovers from there.
 NINE_NAMES: Final = frozenset(state.id for state in NINE)
-FEWEST_STARTS: Final = 3  # The dive's own, and two that are drawn.
+FEWEST_RUNS: Final = 3  # From the own start of the dive, and from two that are drawn.
 
 
 # --- Measured convergence.
@@ -58,7 +58,7 @@ def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict
     Those of `quantities.CONVERGED` have intervals. Empty where fewer than two starts were drawn. The dive's own start
     is left out, since it lacks the errors that are to fall; so is the position, of which no measurement tells.
     """
-    if min(len(baseline.error), len(candidate.error)) < FEWEST_STARTS:
+    if min(len(baseline.error), len(candidate.error)) < FEWEST_RUNS:
         return {}
     before, after = squared_errors(baseline), squared_errors(candidate)
     found = {}
@@ -161,7 +161,7 @@ class ConvergenceCurves(NamedTuple):
 
 def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
     """Return the rms of each filter's true errors over its drawn starts, without the dive's own, by quantity."""
-    drawn, curves = [errors for errors in drawn if len(errors.error) >= FEWEST_STARTS], {}
+    drawn, curves = [errors for errors in drawn if len(errors.error) >= FEWEST_RUNS], {}
     squares = [squared_errors(errors) for errors in drawn]
     as_predicted = [replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None]) for errors in drawn]
     predicted, names = [squared_errors(errors) for errors in as_predicted], [errors.filter for errors in drawn]
