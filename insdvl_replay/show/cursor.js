@@ -1,7 +1,7 @@
 "use strict";
 /* A cursor over all panels with the same horizontal axis, dots on the tracks, and zoom. Paths are in counts, see
    plot.py: what is read at the cursor are the samples that are drawn, to their printed digits. */
-const ROW = 13, NEAR = 3, DRAG = 5, WAIT_MS = 250;
+const ROW = 13, NEAR = 3, DRAG = 5, WAIT_MS = 400;
 const panels = [...document.querySelectorAll("svg.panel")].map(open);
 let cursor = null; // panel and time
 

@@ -23,7 +23,15 @@ from insdvl_replay.results.result_files import save_replay
 from insdvl_replay.show.dive import NO_REFERENCE
 from insdvl_replay.show.dive_page import changed_settings, dive_document
 from insdvl_replay.show.document import parts_for
-from insdvl_replay.show.figures import Clock, Source, covered_shares, replay_figures, shades_of, track_panel
+from insdvl_replay.show.figures import (
+    Clock,
+    Source,
+    covered_shares,
+    error_panel,
+    replay_figures,
+    shades_of,
+    track_panel,
+)
 from insdvl_replay.show.page import page
 from insdvl_replay.show.text import for_terminal
 from insdvl_replay.sim.dive import simulate_dive
@@ -139,6 +147,21 @@ def test_turns_and_silence_of_the_dvl_are_shaded_behind_every_panel_over_time(tm
             assert bool(panel.shades) == (panel.x_label == "time [s]" and panel.x_scale == "linear")
     document, _, _ = saved(replay, tmp_path / "shaded")
     assert document.count("path", "silent") == document.count("path", "turn") > 20
+
+
+def test_errors_fill_their_panels_and_all_panels_over_time_have_one_axis(replay: Replay) -> None:
+    """Three sigma is here more than ten times the errors."""
+    figures = {figure.title: figure for figure in replay_figures(replay)}
+    panels = figures["Errors against the reference (3 sigma)"].panels[:6]
+    for panel in panels:
+        largest = max(float(np.nanmax(np.abs(curve.y))) for curve in panel.curves)
+        assert panel.y_limits is not None
+        assert largest <= panel.y_limits[1] <= 1.7 * largest
+    assert any(curve.band is not None and np.nanmax(curve.band[1]) > 17.0 for curve in panels[4].curves)
+    over_time = [panel for figure in figures.values() for panel in figure.panels if panel.x_label == "time [s]"]
+    (x_limits,) = {panel.x_limits for panel in [*over_time, *error_panel(replay)] if panel.x_scale == "linear"}
+    assert x_limits == (0.0, pytest.approx((replay.end_ns - replay.start_ns) / S))
+    assert {"Innovation consistency (NIS)", "Convergence"} <= set(figures)
 
 
 def test_errors_of_a_track_are_magnified_so_that_they_are_seen(replay: Replay) -> None:
