@@ -16,7 +16,7 @@ _LOOKS: Final[dict[str, dict[str, Any]]] = {
     "filter1": {"color": "#1c5fc4", "linestyle": "-"},
     "filter2": {"color": "#1f7f45", "linestyle": (0, (4, 6))},
     "filter3": {"color": "#7a45b8", "linestyle": (0, (2, 2))},
-    "filter4": {"color": "#a86a00", "linestyle": (0, (14, 3))},
+    "filter4": {"color": "#a06400", "linestyle": (0, (14, 3))},
     "filter5": {"color": "#0a7c86", "linestyle": (0, (4, 2, 1, 2, 1, 2))},
     "reference": {"color": "#1b2330", "linewidth": 0.8},
     "limit": {"color": "#1b2330", "linestyle": (0, (4, 3)), "linewidth": 0.8},

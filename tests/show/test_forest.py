@@ -4,7 +4,9 @@ import re
 
 import pytest
 
-from insdvl_replay.show.forest import LEFT, RIGHT, ForestRow, axis_end, forest, forest_svg, place
+from insdvl_replay.core.words import Verdict
+from insdvl_replay.show.forest import LEFT, RIGHT, ForestRow, axis_end, forest, forest_svg, place, tone_class
+from insdvl_replay.show.plot import style_sheet
 
 
 def across(tag: str, attribute: str, svg: str) -> list[float]:
@@ -65,3 +67,29 @@ def test_a_long_name_is_shortened_in_the_middle_and_its_link_is_whole() -> None:
     assert f'<a href="{name}/report.html">' in svg
     assert f"<title>{name}</title>" in svg
     assert ">rosbag2_2…3-12_30_11<" in svg
+
+
+def luminance(colour: str) -> float:
+    """The relative luminance of a colour such as ``#1b2330`` (WCAG 2)."""
+    shares = [
+        int(part * (3 - len(part)), 16) / 255.0 for part in re.findall("..?" if len(colour) > 4 else ".", colour[1:])
+    ]
+    linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def test_verdicts_are_readable_in_the_light_in_the_dark_and_on_paper() -> None:
+    schemes = [
+        dict(re.findall(r"--(\w+): (#\w+);", block)) for block in re.findall(r":root \{(.*?)\}", style_sheet(), re.S)
+    ]
+    assert len(schemes) == 3
+    for scheme in schemes:
+        paper = luminance(scheme["paper"])
+        for name in ("ink", "soft", "red", "blue", "green", "ochre"):
+            high, low = sorted((paper, luminance(scheme[name])), reverse=True)
+            assert (high + 0.05) / (low + 0.05) >= 4.5, name
+
+
+def test_every_verdict_has_a_colour() -> None:
+    for verdict in Verdict:
+        assert f".{tone_class(verdict)}" in style_sheet()
