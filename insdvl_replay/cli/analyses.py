@@ -1,5 +1,6 @@
 """``insdvl-replay inspect``, ``calibrate`` and ``study``. Slow imports wait until there is work to do."""
 
+import shlex
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -44,7 +45,8 @@ def inspect(
 ) -> int:
     """Print what is in a log and what would stop a replay.
 
-    For each role it prints the topic that a replay would use, and why. If a role has no topic, it prints settings to
+    The first line says whether the log can be replayed, and with which command. For each role follows the topic that a
+    replay would use, and why. If a role has no topic, it prints settings to
     start from. --propose writes a settings file for `run -c`. Trial runs find noise, mounting and heading; comments in
     the file mark what you must decide. The exit code is 0 whether or not the log can be replayed, and 3 if a file
     cannot be read. Such a file does not stop the others.
@@ -84,7 +86,17 @@ def inspect(
             continue
         if format_ != "json":
             is_csv, space = format_ == "csv", "\n" if inventories else ""
-            text = inventory_csv(inventory) if is_csv else written(inspection_result(inventory), format_)
+            arguments = shlex.join(
+                [
+                    *map(str, dive),
+                    *(["--one-dive"] if one_dive else []),
+                    *(["--preset", preset] if preset else []),
+                    *(text for file in config for text in ("-c", str(file))),
+                    *(text for setting in settings for text in ("--set", setting)),
+                    *(["--allow-damaged"] if allow_damaged else []),
+                ]
+            )
+            text = inventory_csv(inventory) if is_csv else written(inspection_result(inventory, arguments), format_)
             write_stdout(space + text)
         inventories.append(inventory)
         inspected.append(dive)

@@ -3,6 +3,7 @@
 Times count from the log's first message, on the recorder's clock.
 """
 
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -12,7 +13,18 @@ import msgspec
 
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import Note, counted, listed
-from insdvl_replay.core.result import CellText, Code, DisplayTable, Only, Part, Remark, Result, Sentences, Title
+from insdvl_replay.core.result import (
+    Callout,
+    CellText,
+    Code,
+    DisplayTable,
+    Only,
+    Part,
+    Remark,
+    Result,
+    Sentences,
+    Title,
+)
 from insdvl_replay.core.words import Reading
 from insdvl_replay.show.document import MISSING, blocks_csv, number, table_of
 
@@ -121,10 +133,29 @@ _FOLDED: Final = 16  # letters of a type's name that a narrow terminal folds bef
 _MOST_TOPICS: Final = 100  # more are folded: recorders that write each field of each message as a topic make thousands
 _LEAST_FOLDED: Final = 4
 _MOST_EMPTY: Final = 40
+_LONGEST_CLAUSE: Final = 120  # letters of a blocker in the answer
 _PROPOSAL: Final = "Proposed settings, a file for -c. The comments give the reasons and what to decide:"
 
 
-def inspection_result(inventory: Inventory) -> Result:
+def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Code]:
+    """Say whether a log can be replayed, and with which command; ``arguments`` name it and its settings."""
+    arguments = arguments or shlex.quote(inventory.log.name)
+    run, name = f"insdvl-replay run {arguments}", inventory.log.name
+    if not inventory.blockers:
+        whole = inventory.reading == Reading.WHOLE
+        found = "can be replayed" if whole else "can be replayed by its first messages; --deep reads all"
+        return [Callout(f"{name} {found}:", "good"), Code(run, "")]
+    # The first clause of the first blocker; all are below in full.
+    first, count = inventory.blockers[0], len(inventory.blockers)
+    why = (first.message.partition(f"{name}: ")[2] or first.message).partition("; ")[0]
+    why = why if len(why) < _LONGEST_CLAUSE else why.partition(": ")[0]
+    refused = Callout(f"{name} cannot be replayed as it is ({counted(count, 'blocker')}): {why}", "bad")
+    if inventory.configuration and not inventory.remaining:
+        return [refused, Code(f"insdvl-replay inspect {arguments} --propose vehicle.toml\n{run} -c vehicle.toml", "")]
+    return [refused, Callout(f"To do: {[*inventory.remaining, first][0].hint}")]
+
+
+def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
     """Lay out an inventory; on a terminal, where the first sentence names the log, it needs no title."""
     log = inventory.log
     used = sum(1 for topic in inventory.topics if topic.messages)
@@ -135,16 +166,20 @@ def inspection_result(inventory: Inventory) -> Result:
     chunks = f"chunks: {log.chunks}{compression}{summary}"
     parts: list[Part] = [
         Only(("markdown", "latex", "html"), (Title(log.name),)),
+        *answer_lines(inventory, arguments),
+    ]
+    facts = [
         f"{log.name}: {size}, profile {log.profile or MISSING}, written by {log.library or MISSING}",
         f"{log.messages} messages on {used} of {len(inventory.topics)} topics, {chunks}",
     ]
     if log.start_utc is not None:
-        parts.append(f"{log.duration_s:.1f} s from {log.start_utc} (recorder's clock)")
+        facts.append(f"{log.duration_s:.1f} s from {log.start_utc} (recorder's clock)")
     for kind, names in (("metadata", log.metadata), ("attachments", log.attachments)):
-        parts += [f"{kind}: {', '.join(names)}"] if names else []
+        facts += [f"{kind}: {', '.join(names)}"] if names else []
+    parts.append(Sentences(tuple(facts)))
     parts += inventory_tables(inventory)
 
-    # Pings and reference, every note, every blocker, and last whether the log can be replayed.
+    # Pings and reference, every note, every blocker.
     found: list[Remark] = []
     if (pings := inventory.pings) is not None:
         announced = sum(topic.messages for topic in inventory.topics if topic.role == "dvl")
@@ -164,12 +199,7 @@ def inspection_result(inventory: Inventory) -> Result:
         found.append(Remark(text))
     found += [Remark(f"{note.severity}: {note.text} [{note.code}]", note.hint) for note in inventory.notes]
     found += [Remark(f"blocker: {blocker.message}", blocker.hint) for blocker in inventory.blockers]
-    verdict = "can be replayed"
-    if count := len(inventory.blockers):
-        verdict = f"cannot be replayed: {counted(count, 'blocker')}"
-    elif inventory.reading == Reading.SAMPLE:
-        verdict = "no blocker in the first messages; --deep reads all messages"
-    parts.append(Sentences((*found, Remark(verdict))))
+    parts += [Sentences(tuple(found))] if found else []
 
     # What the proposed settings leave open.
     if inventory.configuration:

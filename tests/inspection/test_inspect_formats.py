@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def test_markdown_has_a_row_on_one_line_for_each_topic(log: Path, capsys: pytest
     for row, topic in zip(rows, found["topics"], strict=True):
         assert row.startswith(f"| {topic['topic']}<br>")
         assert f"| {topic['messages']} |" in row
-    assert "--deep" in text.splitlines()[-1]
+    assert "--deep" in text.split("\n\n")[1]
 
 
 def test_markdown_gives_the_settings_to_start_from_as_a_block(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,3 +86,24 @@ def test_latex_has_as_many_cells_in_every_row_as_columns(log: Path, capsys: pyte
     for alignment, body in tables:
         rows = [line for line in body.splitlines() if line.endswith(r"\\")]
         assert {line.count(" & ") for line in rows} == {len(alignment) - 1}
+
+
+def test_the_first_lines_say_whether_a_log_can_be_replayed_and_how(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, command, *_ = printed(capsys, str(log)).splitlines()
+    assert first.startswith(f"{log.name} can be replayed by its first messages")
+    assert command == f"insdvl-replay run {shlex.quote(str(log))}"
+    deep = printed(capsys, str(log), "--deep", "--preset", "fog", "--set", "dvl.scale=1.01").splitlines()
+    assert deep[:2] == [
+        f"{log.name} can be replayed:",
+        f"insdvl-replay run {shlex.quote(str(log))} --preset fog --set dvl.scale=1.01",
+    ]
+
+
+def test_the_first_lines_of_a_log_with_blockers_are_why_and_what_to_do(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nowhere = printed(capsys, str(log), "--set", "imu.topic=/nowhere").splitlines()
+    assert re.fullmatch(rf"{re.escape(log.name)} cannot be replayed as it is \(\d blockers?\): .*/nowhere.*", nowhere[0])
+    assert nowhere[1].startswith(("insdvl-replay inspect ", "To do: "))
