@@ -6,26 +6,41 @@ evidence of a candidate over several dives is. Of a single dive, its velocity er
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Annotated, Final, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
 
 import msgspec
 from msgspec import Meta, Struct
+from msgspec.structs import replace
 
 from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, DRIFT_QUANTITIES, label
-from insdvl_replay.core.result import Callout, DisplayTable, Html, Only, Part, StoredReport, StoredResult
+from insdvl_replay.core.result import PAGE, PRINTED, Callout, DisplayTable, Only, Part, StoredReport, StoredResult
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import EvidenceVerdict, Verdict
 from insdvl_replay.results.folder import TRAJECTORY_FILE
-from insdvl_replay.show.document import MISSING, Column, counted, table_of
+from insdvl_replay.show.document import MISSING, Column, counted, significant, table_of
 
-# Statistics need scipy, so that they are imported where they are needed.
+if TYPE_CHECKING:
+    # Statistics and pages need scipy, and are imported where they are needed.
+    from insdvl_replay.show.forest import ForestRow
 
-OLD, NEW = "before", "after"
+OLD: Final = "before"  # name of the old side in sentences
 _MANY_TIMES: Final = 3.0  # a larger ratio is written in times
 _OVER_TIME: Final = {"position": ("position_error_m", "m"), "velocity": ("velocity_error_mps", "m/s")}
 """Evidence of a single dive: columns of its trajectory, with their units."""
 _NO_CHANGE: Final = 0.01  # of every value that decides: so small a change on a dive is none
+_MOST_DRAWN, _MOST_DIVES = 8, 20  # rows of the forest plots
 FEWEST: Final = 3  # dives that decide, as `verdicts.FEWEST_DIVES`
+
+
+class DiveChange(Struct, frozen=True):
+    """The value behind an answer on one dive."""
+
+    log: str
+    quantity: str
+    unit: str
+    old: float
+    new: float
+    ratio: Number
 
 
 class Answer(Struct, frozen=True):
@@ -39,6 +54,9 @@ class Answer(Struct, frozen=True):
     lost: Annotated[int, Meta(description="dives in which only the old side is evaluated")]
     largest_change: Annotated[Number, Meta(description="largest relative change of a value that decides, on any dive")]
     rows: Annotated[tuple[PooledRow, ...], Meta(description="old values are in baseline, new ones in value")]
+    by_dive: Annotated[
+        tuple[DiveChange, ...], Meta(description="the first row that made the verdict, dive by dive")
+    ] = ()
 
     @property
     def is_same(self) -> bool:
@@ -91,9 +109,17 @@ def answers_of(pairs: Pairs) -> tuple[Answer, ...]:
             over_time = tuple(_on_one_dive(name, *pairs[having[0]]))
             rows = (*over_time, *(row for row in rows if row.quantity not in _OVER_TIME))
             verdict, sentence = _answer_of_one_dive(name, over_time)
-        found.append(Answer(name, verdict, sentence, len(having), len(evaluated), lost, largest, rows))
+        answer = Answer(name, verdict, sentence, len(having), len(evaluated), lost, largest, rows)
+        found.append(replace(answer, by_dive=tuple(_dive_by_dive(answer, evidence))))
     # What is not finite is missing, as in JSON.
     return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
+
+
+def _dive_by_dive(answer: Answer, evidence: Sequence[Sequence[EvidenceRow]]) -> Iterator[DiveChange]:
+    """Yield the values of the row that made the verdict, or could have."""
+    quantity = [*answer.spoken, *answer.rows][0].quantity if answer.rows else ""
+    for row in (row for rows in evidence for row in rows if row.quantity == quantity):
+        yield DiveChange(row.log, quantity, row.unit, finite(row.baseline), finite(row.value), row.ratio)
 
 
 def _measured(report: StoredReport) -> _Values:
@@ -196,6 +222,8 @@ def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
 
 def _said(answer: Answer) -> str:
     """Write the evidence of an answer: the row that made it, both for a mixed one; or what would decide."""
+    from insdvl_replay.evaluation.verdicts import would_settle
+
     if answer.is_same:
         return _is_same(finite(answer.largest_change))
     if answer.verdict == Verdict.NOT_EVALUATED:
@@ -206,18 +234,10 @@ def _said(answer: Answer) -> str:
         of_dives = "" if row.dives == 1 or answer.verdict == Verdict.EQUIVALENT else f", {size} in {won} of {row.dives}"
         pieces.append(f"{label(row.quantity)} {change_in_words(row)}{of_dives}")
     if spoken and answer.verdict == Verdict.UNDECIDED:
-        pieces.append(_needed(spoken[0]))
+        needed = would_settle(answer.verdict, answer.rows, DECIDING_TOGETHER)
+        pieces.append(f"at least {FEWEST} dives decide" if answer.evaluated < FEWEST else needed)
     pieces.append(f"no longer evaluated in {answer.lost} of {answer.dives}" if answer.lost else "")
     return "; ".join(filter(None, pieces)) or "no evidence"
-
-
-def _needed(row: PooledRow) -> str:
-    from insdvl_replay.evaluation.series import RatioInterval, what_settles
-
-    if row.dives < FEWEST:
-        return f"at least {FEWEST} dives decide"
-    ends = finite(row.ratio), finite(row.low), finite(row.high)
-    return what_settles(RatioInterval(*ends, *ends[1:], float(row.dives), row.dives - 1.0), row.dives)
 
 
 def change_in_words(row: PooledRow) -> str:
@@ -256,26 +276,60 @@ def answer_table(answers: Sequence[Answer], *, everything: bool) -> Iterator[Dis
         yield table_of("Evidence, new against old", kept, _COLUMNS, footnote, spare=(2, 6, 3, 4))
 
 
-def answer_plot(answers: Sequence[Answer]) -> Part:
-    """Return forest plots for pages, one for each filter."""
+def answer_screen(answers: Sequence[Answer]) -> list[Part]:
+    """Return the answers: a line for each filter, on pages a section with forest plots."""
+    from insdvl_replay.show.first_screen import first_screen, section
+
+    sections = [
+        section(answer.verdict, answer.filter, OLD, [_sentence_of(answer)], list(_plots(answer))) for answer in answers
+    ]
+    several = any(answer.dives > 1 for answer in answers)
+    caption = f"Here new is over old.{' All dives: each is one sample.' if several else ''}"
+    page = first_screen(sections, caption)
+    return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
+
+
+def _sentence_of(answer: Answer) -> str:
+    from insdvl_replay.show.first_screen import sentence_of_evidence
+
+    if answer.is_same or answer.dives == 1 or answer.verdict == Verdict.NOT_EVALUATED:
+        return f"{_said(answer)}."
+    lost = f" No longer evaluated in {answer.lost} of {counted(answer.dives, 'dive')}." if answer.lost else ""
+    return f"{sentence_of_evidence(answer.verdict, answer.rows, DECIDING_TOGETHER)}{lost}"
+
+
+def _plots(answer: Answer) -> Iterator[str]:
+    """Yield the forest plots of an answer: the evidence, and the dives one by one."""
+    from insdvl_replay.show.first_screen import evidence_forest
     from insdvl_replay.show.forest import ForestRow, forest
 
-    plots = []
-    for answer in answers:
-        spoken = answer.spoken
-        rows = [
-            ForestRow(
-                label(row.quantity),
-                row.ratio,
-                row.low,
-                row.high,
-                row.verdict,
-                change_in_words(row),
-                decides=row in spoken,
-            )
-            for row in answer.rows
-            if finite(row.ratio) > 0.0
-        ]
-        if rows and answer.largest_change:
-            plots.append(Html(forest(f"{answer.filter}: {NEW} over {OLD}", rows)))
-    return Only(("html",), tuple(plots))
+    if answer.dives == 1:
+        rows = [row for row in answer.rows if finite(row.ratio) > 0.0]
+        yield forest("This dive", [_forest_row(row, row in answer.spoken) for row in rows[:_MOST_DRAWN]])
+        return
+    yield evidence_forest("All dives", answer.verdict, answer.rows, _MOST_DRAWN)
+    dives = sorted((dive for dive in answer.by_dive if finite(dive.ratio) > 0.0), key=_effect)[-_MOST_DIVES:]
+    dives.sort(key=lambda dive: finite(dive.ratio))
+    drawn = [
+        ForestRow(
+            dive.log,
+            dive.ratio,
+            tone=Verdict.UNDECIDED,
+            text=f"{significant(dive.old, 3)} \N{RIGHTWARDS ARROW} {significant(dive.new, 3)} {dive.unit}",
+        )
+        for dive in dives
+    ]
+    name = label(answer.by_dive[0].quantity) if answer.by_dive else "evidence"
+    yield forest(f"{name[:1].upper()}{name[1:]}, dive by dive", drawn)
+
+
+def _forest_row(row: PooledRow, decides: bool) -> "ForestRow":
+    from insdvl_replay.show.forest import ForestRow
+
+    return ForestRow(
+        label(row.quantity), row.ratio, row.low, row.high, row.verdict, change_in_words(row), decides=decides
+    )
+
+
+def _effect(dive: DiveChange) -> float:
+    return abs(math.log(finite(dive.ratio)))

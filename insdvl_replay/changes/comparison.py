@@ -16,7 +16,7 @@ from typing import Any, Final, NamedTuple
 from msgspec import Struct
 from msgspec.structs import astuple, replace
 
-from insdvl_replay.changes.answer import Answer, answer_lines, answer_plot, answer_table, answers_of
+from insdvl_replay.changes.answer import Answer, answer_screen, answer_table, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, change_text, changes_of, named_rows, within
 from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
@@ -512,7 +512,7 @@ def brief_document(comparison: Comparison, *, everything: bool = False) -> list[
 
 def _opening(comparison: Comparison) -> list[Part]:
     """Return the title, which names the settings that differ, and the answers."""
-    return [Title(_title(comparison)), *answer_lines(comparison.answers), answer_plot(comparison.answers)]
+    return [Title(_title(comparison)), *answer_screen(comparison.answers)]
 
 
 def comparison_document(comparison: Comparison) -> list[Part]:

@@ -166,8 +166,9 @@ def test_a_page_has_a_forest_plot_of_each_filter(tmp_path: Path) -> None:
     answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in FACTORS])
     found = compare_results(tmp_path / "old", tmp_path / "new")
     page = render(comparison_result(found, brief_document(found)), "html")
-    assert page.count('class="forest"') >= 2
-    assert "WORSE" in page
+    assert page.count('<section class="candidate worse">') == 2
+    assert page.count('<section class="forest">') == 4, "the evidence, and the dives one by one, of each filter"
+    assert "larger in 8 of 8" not in page, "the line of the screen is not repeated"
 
 
 # --- How often the answer is right, on simulated dives.

@@ -105,5 +105,7 @@ def test_the_first_lines_of_a_log_with_blockers_are_why_and_what_to_do(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     nowhere = printed(capsys, str(log), "--set", "imu.topic=/nowhere").splitlines()
-    assert re.fullmatch(rf"{re.escape(log.name)} cannot be replayed as it is \(\d blockers?\): .*/nowhere.*", nowhere[0])
+    assert re.fullmatch(
+        rf"{re.escape(log.name)} cannot be replayed as it is \(\d blockers?\): .*/nowhere.*", nowhere[0]
+    )
     assert nowhere[1].startswith(("insdvl-replay inspect ", "To do: "))
