@@ -1,7 +1,7 @@
 """The answer of a comparison: each filter, new against old, by the evidence and the tests of a verdict.
 
 The errors of one filter in two runs of a dive are paired. Their ratio is one sample of each dive, pooled as the
-evidence of a candidate over several dives is. Of a single dive, its velocity errors over time are compared.
+evidence of a candidate over several dives is. Of a single dive, its errors over time are compared.
 """
 
 import math
@@ -38,8 +38,8 @@ class DiveChange(Struct, frozen=True):
     log: str
     quantity: str
     unit: str
-    old: float
-    new: float
+    old: Number
+    new: Number
     ratio: Number
 
 
@@ -249,7 +249,9 @@ def change_in_words(row: PooledRow) -> str:
     if ratio >= _MANY_TIMES:
         return f"x {ratio:.3g}{'' if math.isnan(low) else f' [{low:.3g}, {high:.3g}]'}"
     pct, low_pct, high_pct = (100.0 * (value - 1.0) for value in (ratio, low, high))
-    return f"{pct:+z.1f} %{'' if math.isnan(low) else f' [{low_pct:+z.1f}, {high_pct:+z.1f}]'}"
+    digits = 0 if max(abs(pct), finite(abs(high_pct))) >= 100.0 else 1
+    ends = "" if math.isnan(low) else f" [{low_pct:+z.{digits}f}, {high_pct:+z.{digits}f}]"
+    return f"{pct:+z.{digits}f} %{ends}"
 
 
 _COLUMNS: Final[tuple[Column, ...]] = (

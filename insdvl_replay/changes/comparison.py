@@ -7,7 +7,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 from statistics import median
@@ -18,6 +18,7 @@ from msgspec.structs import astuple, replace
 
 from insdvl_replay.changes.answer import Answer, answer_screen, answer_table, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, change_text, changes_of, named_rows, within
+from insdvl_replay.changes.matching import match_dives, with_new_names
 from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import (
@@ -46,7 +47,6 @@ _MOST_DIFFERENCES: Final = 8
 NONE: Final = "none"  # instead of a missing value
 _LINE: Final = 60  # letters of settings in the title
 _NAMED_DIVES: Final = 2
-_HASH_DIGITS: Final = 12
 _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 """The main columns, and words with a rank, which summarise numbers."""
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
@@ -212,95 +212,6 @@ def compare_results(old: Path, new: Path, selection: Selection = Selection()) ->
         baseline=next((is_.report.baseline for _, is_ in pairs), ""),
         answers=answers_of(pairs),
     )
-
-
-# Results of one log in several folders are matched by their place, then by their name.
-_KEYS: Final[tuple[tuple[MatchedBy, Callable[[StoredResult], Hashable]], ...]] = (
-    (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.below)),
-    (MatchedBy.HASH, lambda result: (result.report.log.sha256, result.name)),
-    (MatchedBy.HASH, lambda result: result.report.log.sha256),
-    (MatchedBy.NAME, lambda result: (result.name, result.below)),
-    (MatchedBy.NAME, lambda result: result.name),
-)
-
-
-def match_dives(
-    old: Sequence[StoredResult], new: Sequence[StoredResult]
-) -> list[tuple[StoredResult | None, StoredResult | None, MatchedBy]]:
-    """Match results of the same dive, by the hash of the log, else by name; those without counterpart come last.
-
-    Two single results are always matched.
-    """
-    found, before, after = dict[int, tuple[StoredResult, MatchedBy]](), list(old), list(new)
-    for how, key in _KEYS:
-        alone = []
-        for results in (before, after):
-            # A dive that was not read from a file has no hash.
-            known = [result for result in results if how != MatchedBy.HASH or result.report.log.sha256]
-            times = Counter(map(key, known))
-            alone.append({key(result): result for result in known if times[key(result)] == 1})
-        theirs, ours = alone
-        found |= {id(ours[value]): (theirs[value], how) for value in theirs.keys() & ours.keys()}
-        taken = {id(was) for was, _ in found.values()}
-        before = [result for result in before if id(result) not in taken]
-        after = [result for result in after if id(result) not in found]
-    if len(old) == len(new) == 1 and not found:
-        return [(old[0], new[0], MatchedBy.CHOICE)]
-    # A dive that is left on both sides has several results, and the matching ones are not known.
-    for result in after:
-        digest = result.report.log.sha256
-        if any(other.name == result.name or (digest and other.report.log.sha256 == digest) for other in before):
-            folders = [str(other.folder) for other in (*before, *after) if other.name == result.name]
-            raise ConfigError(
-                f"{result.name}: several results could match: {', '.join(folders)}",
-                "name the two folders to compare",
-            )
-    if not found:
-        old_names, new_names = ([result.name for result in results] for results in (old, new))
-        raise ConfigError(
-            f"no dive of the old results ({listed(old_names)}) is in the new ones ({listed(new_names)})",
-            "name two folders that hold results of the same logs, or two single results",
-        )
-    return [
-        *((found[id(result)][0], result, found[id(result)][1]) for result in new if id(result) in found),
-        *((result, None, MatchedBy.NOTHING) for result in before),
-        *((None, result, MatchedBy.NOTHING) for result in after),
-    ]
-
-
-def parse_pairs(texts: Iterable[str]) -> dict[str, str]:
-    """Read pairs such as ``aided=windowed``, the new name by the old one."""
-    pairs = {}
-    for text in texts:
-        old, _, new = text.partition("=")
-        if not (old and new):
-            raise ConfigError(f"--pair {text}: is not of the form OLD=NEW", "write --pair aided=windowed")
-        pairs[old] = new
-    return pairs
-
-
-def with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -> list[StoredResult]:
-    """Return old results with the new names of their filters."""
-    names = list(dict.fromkeys(name for result in results for name in (result.report.baseline, *result.report.filters)))
-    for old, new in pairs.items():
-        require_known("filter", old, names)
-        if new in names and new not in pairs:
-            raise ConfigError(
-                f"--pair {old}={new}: the old results also have a filter {new}", f"add --pair {new}={new}_before"
-            )
-
-    def renamed(report: StoredReport) -> StoredReport:
-        return replace(
-            report,
-            tables={
-                table: [{**row, "filter": pairs.get(str(row.get("filter")), row.get("filter"))} for row in rows]
-                for table, rows in report.tables.items()
-            },
-            filters={pairs.get(name, name): candidate for name, candidate in report.filters.items()},
-            baseline=pairs.get(report.baseline, report.baseline),
-        )
-
-    return [with_fields(result, report=renamed(result.report)) for result in results]
 
 
 def _notes_on_filters(pairs: _Pairs) -> Iterator[Note]:
@@ -490,49 +401,37 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
 
 def brief_document(comparison: Comparison, *, everything: bool = False) -> list[Part]:
     """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence."""
-    moved = [change for change in comparison.changes if change.verdict != ChangeVerdict.SAME]
     several = len(comparison.matched) > 1
     tables = list(answer_table(comparison.answers, everything=everything) if several else _evidence_of_dive(comparison))
-    if not tables and not several and 0 < len(moved) <= MOST_OTHERS:
+    if not (tables or several) and 0 < len(moved := only_changed(comparison).changes) <= MOST_OTHERS:
         tables = [_values(moved)]
-    apart = tuple(f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None)
     elsewhere = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
     found = f"changed values by table: {', '.join(elsewhere)}" if elsewhere else "no value changed"
     same = counted(comparison.total.counts[ChangeVerdict.SAME], "value")
-    verdicts, differences = _changed_verdicts(comparison), _brief_differences(comparison)
-    return [
-        *_opening(comparison),
-        *([Sentences(tuple(verdicts))] if verdicts else []),
-        *([Sentences(tuple(differences))] if differences else []),
-        *(with_fields(table, title_apart=True) for table in tables),
-        *([Sentences(apart)] if apart else []),
-        Sentences((f"{found}; {same} the same. All values: --all. One table: --table NAME",)),
-    ]
-
-
-def _opening(comparison: Comparison) -> list[Part]:
-    """Return the title, which names the settings that differ, and the answers."""
-    return [Title(_title(comparison)), *answer_screen(comparison.answers)]
+    last = f"{found}; {same} the same. All values: --all. One table: --table NAME"
+    return _document(comparison, _changed_verdicts(comparison), tables, _MOST_DIFFERENCES, [Sentences((last,))])
 
 
 def comparison_document(comparison: Comparison) -> list[Part]:
-    """Return the full screen of a comparison."""
-    dives, several = comparison.dives, len(comparison.matched) > 1
-    tables = [_differences_table(comparison)] if comparison.differences else []
-    if len(dives) > 1:
-        # The dives with changes; the others are counted.
-        moved = [dive for dive in dives if dive.tally is None or dive.tally.moved]
-        still = len(dives) - len(moved)
-        footnote = f"and {counted(still, 'dive')} without change" if still else ""
-        tables.append(_tallies("Dives", "dive", [(dive.log, dive.tally, dive.only_side) for dive in moved], footnote))
-    tables.append(_tallies("Tables", "table", [(name, counts, "") for name, counts in comparison.by_table.items()]))
-    tables.append(_values_over_dives(comparison.aggregates) if several else _values(comparison.changes))
+    """Return the full screen of a comparison: the answers, counts, all differences and values."""
+    several = len(comparison.matched) > 1
+    table = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
     rest = "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
+    last = [Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []
+    return _document(comparison, opening_lines(comparison), [table], len(comparison.differences), last)
+
+
+def _document(
+    comparison: Comparison, lines: Sequence[str], tables: Iterable[DisplayTable], most: int, last: Sequence[Part]
+) -> list[Part]:
+    apart = [f"{dive.only_side}: {dive.log}" for dive in comparison.dives if dive.tally is None]
     return [
-        *_opening(comparison),
-        Sentences(tuple(opening_lines(comparison))),
+        Title(_title(comparison)),
+        *answer_screen(comparison.answers),
+        *(Sentences(tuple(block)) for block in (lines, _brief_differences(comparison, most)) if block),
         *(with_fields(table, title_apart=True) for table in tables),
-        *([Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []),
+        *([Sentences(tuple(apart))] if apart else []),
+        *last,
     ]
 
 
@@ -606,7 +505,7 @@ def _where(logs: Sequence[str], dives: int) -> str:
     return "all" if len(logs) == dives else ", ".join(logs) if len(logs) <= _NAMED_DIVES else f"{len(logs)} of {dives}"
 
 
-def _brief_differences(comparison: Comparison) -> list[str]:
+def _brief_differences(comparison: Comparison, most: int) -> list[str]:
     """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
     found = comparison.differences
     other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]
@@ -619,9 +518,8 @@ def _brief_differences(comparison: Comparison) -> list[str]:
         if item not in other and item.block != "config":
             sides = (NONE if side is None else side for side in (item.old, item.new))
             texts.append(change_text(f"{item.block} {item.key}", *sides))
-    left = len(texts) - _MOST_DIFFERENCES
-    lines += texts[:_MOST_DIFFERENCES]
-    return [*lines, *([f"{left} more differ: --all"] if left > 0 else [])]
+    left = len(texts) - most
+    return [*lines, *texts[:most], *([f"{left} more differ: --all"] if left > 0 else [])]
 
 
 # --- Tables.
@@ -674,33 +572,3 @@ def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
         ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeVerdict.SAME else cell.worst_log),
     )
     return table_of("Values over the dives", cells, columns)
-
-
-def _differences_table(comparison: Comparison) -> DisplayTable:
-    dives, found = len(comparison.matched), comparison.differences
-    in_all = all(len(item.logs) == dives for item in found)
-
-    def text(item: Difference, value: str | None) -> str:
-        return MISSING if value is None else value[:_HASH_DIGITS] if item.key == "sha256" else value
-
-    columns: list[Column] = [
-        ("what", "l", lambda item: f"{item.block} {item.key}"),
-        ("old", "l", lambda item: text(item, item.old)),
-        ("new", "l", lambda item: text(item, item.new)),
-        ("dives", "l", lambda item: _where(item.logs, dives)),
-    ]
-    title = f"Differences outside the tables{' (in all dives)' if in_all and dives > 1 else ''}"
-    return table_of(title, found, columns[:-1] if in_all else columns)
-
-
-def _tallies(title: str, key: str, named: Sequence[tuple[str, Tally | None, str]], footnote: str = "") -> DisplayTable:
-    """Return a table of counts by verdict with the largest loss; without a tally, a word instead."""
-    words = [word for word in ChangeVerdict if any(found is not None and found.counts[word] for _, found, _ in named)]
-    rows = []
-    for name, found, otherwise in named:
-        if found is None:
-            rows.append((name, *[MISSING] * len(words), otherwise))
-            continue
-        worst = MISSING if found.worst is None else f"{_named(found.worst)} {found.worst.growth}"
-        rows.append((name, *(str(found.counts[word]) for word in words), worst))
-    return DisplayTable(title, (key, *words, "worst"), f"l{'r' * len(words)}l", tuple(rows), footnote)

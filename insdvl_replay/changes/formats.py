@@ -13,7 +13,6 @@ from insdvl_replay.changes.gate_file import TRAJECTORY
 from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import visible, visible_lines
 from insdvl_replay.core.result import DisplayTable, Part, Result, Title, Tool, this_tool
-from insdvl_replay.core.tables import PERCENTAGE
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.show.document import MISSING, counted
 from insdvl_replay.show.render import render
@@ -65,19 +64,16 @@ def check_result(found: CheckResult) -> Result:
     if missed := _missed(found):
         rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.explained)) for item in missed)
         parts.append(DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows))
-    moved = []
-    for item in found.outcomes:
-        for cell in item.findings:
-            was, now, unit = _values(cell)
-            if cell.expected is not None and was != now:
-                moved.append(
-                    (item.dive, _place(cell), was, f"{now}{unit}", _growth(cell), "" if cell.passed else "FAILED")
-                )
+    cells = [(item.dive, cell) for item in found.outcomes for cell in item.findings if cell.expected is not None]
+    moved = [
+        (dive, cell.sentence, "" if cell.passed else "FAILED")
+        for dive, cell in cells
+        if len(set(_values(cell)[:2])) > 1
+    ]
     if moved:
         moved.sort(key=lambda row: not row[-1])  # failures first
         more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
-        header = ("dive", "value", "expected", "found", "change", "")
-        parts.append(DisplayTable("Changed values", header, "llrrrl", tuple(moved[:MOST_MOVED]), more))
+        parts.append(DisplayTable("Expected and found", ("dive", "value", ""), "lll", tuple(moved[:MOST_MOVED]), more))
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
@@ -200,15 +196,12 @@ def update_text(
             continue
         moved += len(set(_values(cell, 9)[:2])) > 1  # with the digits on which all processors agree
         if was != now:
-            new = f"{_place(cell)} is new: {now}{unit}"
+            place = cell_name(cell.table, cell.filter, cell.row, cell.column)
+            new = f"{place} is new: {now}{unit}"
             shown.append(f"{dive}: {new if cell.expected is None else cell.sentence}")
     unseen = f"{moved - len(shown)} changed beyond four digits, " if moved > len(shown) else ""
     count = f"{counted(len(shown), 'value')} new or changed, {unseen}{len(changes) - moved} unchanged"
     return "".join(f"{visible(line)}\n" for line in (*shown, count))
-
-
-def _place(cell: Finding) -> str:
-    return cell_name(cell.table, cell.filter, cell.row, cell.column)
 
 
 def _values(cell: Finding, digits: int = 4) -> tuple[str, str, str]:
@@ -218,12 +211,3 @@ def _values(cell: Finding, digits: int = 4) -> tuple[str, str, str]:
         for value in (cell.expected, cell.value)
     )
     return was, now, f" {cell.unit}" if cell.unit else ""
-
-
-def _growth(cell: Finding) -> str:
-    was, now = cell.expected, cell.value
-    if not isinstance(was, int | float) or not isinstance(now, int | float):
-        return "changed"
-    if cell.column.endswith(PERCENTAGE):
-        return f"{now - was:+.3g} points"
-    return f"{100.0 * (now - was) / abs(was):+.3g} %" if was else "from zero"

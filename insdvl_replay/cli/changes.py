@@ -64,15 +64,14 @@ def compare(
     """
     from insdvl_replay.changes import comparison as changes
     from insdvl_replay.changes.answer import answer_lines
+    from insdvl_replay.changes.matching import parse_pairs
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.errors import LimitError, visible
 
     on_answer = fail_on == changes.WORSE
     limit_pct = changes.parse_percentage(fail_on, "--fail-on") if fail_on and not on_answer else None
     tolerance_pct = changes.parse_percentage(tolerance, "--tolerance") if tolerance else None
-    selection = changes.Selection(
-        tuple(tables), tuple(columns), tuple(dives), changes.parse_pairs(pairs), tolerance_pct
-    )
+    selection = changes.Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     found = changes.compare_results(old, new, selection)
     moved = changes.only_changed(found)
     chosen = everything or only_changed or tables or columns or dives or format_ == "latex"
