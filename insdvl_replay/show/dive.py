@@ -147,8 +147,8 @@ def heading(report: Report) -> str:
         loud = candidate.verdict in (Verdict.WORSE, Verdict.NOT_EVALUATED)
         word = candidate.verdict.upper() if loud else candidate.verdict
         if candidate.verdict != Verdict.NOT_EVALUATED:
-            prediction = f", {candidate.prediction}" if candidate.prediction != Prediction.UNDECIDED else ""
-            word = f"{word}; {percent(candidate.mean_improvement_pct)} predicted{prediction}"
+            confirmed = prediction_word(candidate.mean_improvement_pct, candidate.prediction)
+            word = f"{word}; {percent(candidate.mean_improvement_pct)} predicted{confirmed and f', {confirmed}'}"
         texts.append(f"{name}: {word}")
     return "; ".join(texts)
 
@@ -359,6 +359,13 @@ _CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
 def over_starts(starts: int) -> str:
     """Say how values and ratio of accuracy rows differ; empty for one start."""
     return f"ratio: over {starts} drawn starts; values: this dive, from its own start" if starts > 1 else ""
+
+
+def prediction_word(predicted_pct: Number, prediction: str) -> str:
+    """Say in a word whether a predicted improvement is confirmed; empty if it is too small to be checked."""
+    if not finite(predicted_pct) >= NOTABLE_PCT:
+        return ""
+    return Prediction.CONFIRMED if prediction == Prediction.CONFIRMED else Prediction.NOT_CONFIRMED
 
 
 def prediction_line(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, has_reference: bool) -> str:

@@ -33,6 +33,7 @@ from insdvl_replay.show.dive import (
     interval_text,
     of_filter,
     over_starts,
+    prediction_word,
     ratio_text,
     replay_result,
 )
@@ -316,4 +317,6 @@ def _verdict_cells(report: Report, name: str) -> tuple[str, ...]:
     cells = [MISSING] * 3
     for row in spoken_of(Verdict(candidate.verdict), of_filter(name, report.tables.evidence))[:1]:
         cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
-    return (candidate.verdict, *cells, percent(candidate.mean_improvement_pct), candidate.prediction or MISSING)
+    predicted_pct = candidate.mean_improvement_pct
+    confirmed = prediction_word(predicted_pct, candidate.prediction) or MISSING
+    return (candidate.verdict, *cells, percent(predicted_pct), confirmed)

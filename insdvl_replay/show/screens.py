@@ -9,7 +9,7 @@ from insdvl_replay.core.errors import counted, natural_key
 from insdvl_replay.core.quantities import CONSISTENT, DECIDING, DECIDING_TOGETHER, is_beam, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Prediction, Severity, Verdict
+from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Severity, Verdict
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import (
     FEWEST_SHOWN,
@@ -31,6 +31,7 @@ from insdvl_replay.show.dive import (
     of_filter,
     over_starts,
     prediction_line,
+    prediction_word,
     ratio_text,
     reason_in_words,
     shouted,
@@ -52,7 +53,7 @@ class Answer:
     verdict: Verdict
     rows: Sequence[Piece]  # evidence that has a ratio
     where: str  # the dive, or the number of dives
-    reason: str  # why it is not evaluated
+    problem: str  # why it is not evaluated
     predicted_pct: Number
     prediction: str
     prediction_sentence: str
@@ -80,11 +81,16 @@ class Answer:
         return "; ".join(texts) or "no evidence"
 
     @property
+    def reason(self) -> str:
+        """Why it is undecided, if the interval does not show it."""
+        is_undecided = self.verdict == Verdict.UNDECIDED
+        return next((why for row in self.spoken if is_undecided and (why := reason_in_words(row))), "")
+
+    @property
     def would_decide(self) -> str:
-        """How many dives would decide an undecided verdict, or why it is undecided; empty if it is decided."""
-        needed = would_settle(self.verdict, self.rows, self.deciding)
-        reasons = [reason_in_words(row) for row in self.spoken if self.verdict == Verdict.UNDECIDED]
-        return needed or next((f"undecided: {reason}" for reason in reasons if reason), "")
+        """Why it is undecided, and how many dives would decide; empty if it is decided."""
+        reason = f"undecided: {self.reason}" if self.reason else ""
+        return "; ".join(filter(None, (reason, would_settle(self.verdict, self.rows, self.deciding))))
 
 
 def _dive_answer(report: Report, name: str) -> Answer:
@@ -127,9 +133,10 @@ def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
         answer = pooled.get(name) or _dive_answer(next(report for report in reports if name in report.filters), name)
         start = f"{name} {shouted(answer.verdict)}"
         if answer.verdict == Verdict.NOT_EVALUATED:
-            lines.append(f"{start} on {answer.where}: {answer.reason}")
+            lines.append(f"{start} on {answer.where}: {answer.problem}")
         else:
-            lines.append(f"{start} {answer.evidence} on {answer.where}; {_predicted(answer)}")
+            reason = f": {answer.reason}" if answer.reason else ""
+            lines.append(f"{start} {answer.evidence} on {answer.where}{reason}; {_predicted(answer)}")
     return lines
 
 
@@ -138,10 +145,9 @@ def _predicted(answer: Answer) -> str:
     pct = finite(answer.predicted_pct)
     if pct != pct:
         return "predicted sigma unknown"
-    if pct < NOTABLE_PCT:
-        checked = "" if pct < 0.0 else f": below {NOTABLE_PCT:.0f} %, not checked"
-        return f"predicted {percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'} sigma{checked}"
-    confirmed = Prediction.CONFIRMED if answer.prediction == Prediction.CONFIRMED else Prediction.NOT_CONFIRMED
+    if pct < 0.0:
+        return f"predicted {percent(-pct)} larger sigma"
+    confirmed = prediction_word(pct, answer.prediction) or f"below {NOTABLE_PCT:.0f} %, not checked"
     return f"predicted {percent(pct)} smaller sigma: {confirmed}"
 
 
@@ -169,7 +175,7 @@ def _answer_parts(answers: Sequence[Answer]) -> Iterator[Part]:
             TONES.get(answer.verdict, ""),
         )
         if answer.verdict == Verdict.NOT_EVALUATED:
-            lines += [Callout(start, tone), f"{answer.reason[:1].upper()}{answer.reason[1:]}. Settle this first."]
+            lines += [Callout(start, tone), f"{answer.problem[:1].upper()}{answer.problem[1:]}. Settle this first."]
             continue
         lines.append(Callout(f"{start}, {answer.evidence}", tone))
         if found := answer.would_decide:
@@ -187,8 +193,8 @@ def _answer_table(answers: Sequence[Answer]) -> DisplayTable:
         for row in answer.spoken[:1]:
             cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
         if answer.verdict != Verdict.NOT_EVALUATED:
-            found = _predicted(answer).partition(": ")[2]
-            predicted = (percent(answer.predicted_pct), found if found in set(Prediction) else "")
+            confirmed = prediction_word(answer.predicted_pct, answer.prediction)
+            predicted = (percent(answer.predicted_pct), confirmed)
         rows.append((answer.name, shouted(answer.verdict), *cells, *predicted, answer.would_decide))
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
     header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted", "", "")

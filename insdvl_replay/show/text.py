@@ -97,14 +97,14 @@ class _Fitting:
             if needed - self.table.folds <= options.max_width:
                 break
         yield grid
+        if self.table.footnote:
+            yield spoken(self.table.footnote)
 
 
 def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
     grid = Table(
         title=spoken(table.title, "bold"),
-        caption=spoken(table.footnote) if table.footnote else None,
         title_justify="left",
-        caption_justify="left",
         box=box.SIMPLE_HEAD,
         show_edge=False,
         pad_edge=False,
