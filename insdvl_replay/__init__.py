@@ -37,9 +37,30 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from insdvl_replay.api import Result, UserMeasurement, UserReadings, load_config, read_result, replay_log
+    from insdvl_replay.api import (
+        CommandResult,
+        DiveResult,
+        DiveResults,
+        Result,
+        UserMeasurement,
+        UserReadings,
+        calibrate,
+        check,
+        compare,
+        inspect,
+        load_config,
+        propose,
+        read_result,
+        read_results,
+        replay_log,
+        simulate,
+    )  # fmt: skip
 
-__all__ = ["Result", "UserMeasurement", "UserReadings", "__version__", "load_config", "read_result", "replay_log"]
+__all__ = [
+    "CommandResult", "DiveResult", "DiveResults", "Result", "UserMeasurement", "UserReadings", "__version__",
+    "calibrate", "check", "compare", "inspect", "load_config", "propose", "read_result", "read_results", "replay_log",
+    "simulate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:
@@ -49,3 +70,8 @@ def __getattr__(name: str) -> Any:
 
         return getattr(api, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """Name the public names, without loading them."""
+    return __all__

@@ -1,33 +1,37 @@
-"""The public Python interface: settings, a replay, and a result with data frames and a notebook view.
+"""The public Python interface: a function for each command, and results with data frames and a notebook view.
 
-Use ``from insdvl_replay import load_config, replay_log, read_result``. These names are stable; all other modules may
+Use ``from insdvl_replay import load_config, replay_log, read_results``. These names are stable; all other modules may
 change.
 """
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
-from insdvl_replay.core.result import Report
-from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings
-from insdvl_replay.results.folder import PAGE, TRAJECTORY_FILE, result_folder
-from insdvl_replay.results.stored_results import read_one_result
+from insdvl_replay.core.result import Block, Callout, Code, Part, Report, Title
+from insdvl_replay.core.result import Result as Content
+from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
+from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
+from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, result_file, result_folder
+from insdvl_replay.results.stored_results import read_one_result, read_reports
+from insdvl_replay.show.document import header_and_rows
 from insdvl_replay.show.screens import dive_screen
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
     from insdvl_replay.replay import Replay
-
-__all__ = ["Result", "UserMeasurement", "UserReadings", "load_config", "read_result", "replay_log"]
+    from insdvl_replay.results.trajectory import Trajectory
 
 Text = str | Path
+Paths = Text | Sequence[Text]
 
 
 def load_config(
@@ -79,13 +83,20 @@ def _plain(key: str, value: object) -> object:
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
+def _paths(given: Paths) -> list[Path]:
+    return [Path(given)] if isinstance(given, str | Path) else [Path(part) for part in given]
+
+
+# --- What a command does.
+
+
 def replay_log(
-    log: Text | Sequence[Text],
+    log: Paths,
     config: Config | None = None,
     *,
     allow_damaged: bool = False,
     name: str | None = None,
-) -> "Result":
+) -> "DiveResult":
     """Replay a dive through the configured filters and return the result.
 
     Parameters
@@ -109,13 +120,13 @@ def replay_log(
     from insdvl_replay.replay import replay_log as replayed
     from insdvl_replay.results.result_files import report_of
 
-    path = Path(log) if isinstance(log, str | Path) else [Path(part) for part in log]
-    replay = replayed(path, config or Config(), allow_damaged=allow_damaged, name=name)
-    return Result(report_of(replay), _replay=replay)
+    paths = _paths(log)
+    replay = replayed(paths if len(paths) > 1 else paths[0], config or Config(), allow_damaged=allow_damaged, name=name)
+    return DiveResult(report_of(replay), _replay=replay)
 
 
-def read_result(folder: Text) -> "Result":
-    """Return the result in a folder that `run` or `Result.save` wrote.
+def read_result(folder: Text) -> "DiveResult":
+    """Return the result in a folder that `run` or `DiveResult.save` wrote.
 
     Raises
     ------
@@ -125,7 +136,200 @@ def read_result(folder: Text) -> "Result":
         The result cannot be read, or is of a version that cannot be read.
     """
     found, report = read_one_result(Path(folder), Report)
-    return Result(report, folder=found)
+    return DiveResult(report, folder=found)
+
+
+def read_results(folder: Text) -> "DiveResults":
+    """Return the results of all dives in a folder, with their pooled evidence.
+
+    Raises
+    ------
+    ConfigError
+        The folder holds no result.
+    ResultError
+        A result cannot be read, or is of a version that cannot be read.
+    """
+    from insdvl_replay.core.tables import TABLES
+    from insdvl_replay.show.dive import TOGETHER
+    from insdvl_replay.show.dives import named_result, overview_parts
+
+    found, _ = read_reports(Path(folder), Report)
+    reports = [report for _, report in found]
+    content = named_result(reports, [*(layout.name for layout in TABLES), *TOGETHER], ())
+    dives = {os.path.relpath(file.parent, folder): DiveResult(report, file.parent) for file, report in found}
+    return DiveResults(replace(content, document=overview_parts(reports)), dives)
+
+
+def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any) -> Path:
+    """Write a simulated dive as a log and return its path.
+
+    Parameters
+    ----------
+    scenario : str
+        ``straight``, ``figure-eight``, ``lawnmower``, ``static`` or ``calibration``.
+    output : str or Path
+        The MCAP file.
+    force : bool
+        Replace an existing file.
+    **options
+        ``seed``, ``duration_s``, ``grade`` (of the IMU), ``outages`` (pairs of seconds), ``lever_arm_m``,
+        ``mounting_rpy_deg``, ``dvl_delay_s``, ``dvl_scale`` and others of `sim.dive.simulate_dive`.
+    """
+    from insdvl_replay.logs import write_dive
+    from insdvl_replay.sim.dive import simulate_dive
+
+    with result_file(Path(output), force=force) as path:
+        write_dive(path, simulate_dive(scenario, **options))
+    return Path(output)
+
+
+def inspect(
+    log: Paths, config: Config | None = None, *, deep: bool = False, allow_damaged: bool = False
+) -> "CommandResult":
+    """Return what is in a log, or in several of one dive, and what would stop a replay.
+
+    Parameters
+    ----------
+    deep : bool
+        Read all messages of each role, not only the first.
+    """
+    from insdvl_replay.inspection.inventory import inspection_result
+    from insdvl_replay.inspection.survey import inspect_log
+
+    paths = _paths(log)
+    inventory = inspect_log(paths, (config or Config()).without_code(), deep=deep, allow_damaged=allow_damaged)
+    return CommandResult(inspection_result(inventory, " ".join(map(str, paths))))
+
+
+def propose(logs: Paths, config: Config | None = None, *, allow_damaged: bool = False) -> "CommandResult":
+    """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
+    from insdvl_replay.inspection.trial_runs import settings_file
+
+    found = settings_file(_paths(logs), (config or Config()).without_code(), allow_damaged=allow_damaged)
+    left = [*((key, "decide") for key in found.decisions), *((key, "missing") for key in found.missing)]
+    blockers = [(failure.message, failure.hint) for failure in found.failures]
+    sentences = [f"to decide: {', '.join(found.decisions) or 'nothing'}", *(f"blocker: {text}" for text, _ in blockers)]
+    title, tables = (
+        "Proposed settings",
+        {"settings": (("key", "status"), left), "blockers": (("text", "hint"), blockers)},
+    )
+    blocks = {name: Block(*table) for name, table in tables.items()}
+    document: list[Part] = [Title(title), *map(Callout, sentences), Code(found.text, "toml")]
+    return CommandResult(Content("proposal", title, sentences, blocks, document=document, settings=found.text))
+
+
+def calibrate(
+    logs: Paths,
+    config: Config | None = None,
+    *,
+    only: Sequence[str] | None = None,
+    reference: bool = False,
+    one_delay: bool = False,
+    mounting_unknown: bool = False,
+    hold_out: Sequence[str | float] = (),
+    allow_damaged: bool = False,
+) -> "CommandResult":
+    """Estimate the DVL's geometry and the sensors' noise, a log each dive; `CommandResult.settings` is TOML.
+
+    Parameters
+    ----------
+    only : sequence of str, optional
+        Some of ``arm``, ``mounting``, ``delay``, ``scale`` and ``noise``. Default: all.
+    reference : bool
+        Compare with the dives' references, and calibrate these, too.
+    one_delay : bool
+        Estimate one delay for all dives, not one for each.
+    mounting_unknown : bool
+        Try 24 mountings first.
+    hold_out : sequence of str or float
+        Dives that test the result: names, or a share between 0 and 1.
+    """
+    from insdvl_replay.calibration.answer import answer_of
+    from insdvl_replay.calibration.dives import calibrate_dives, require_groups
+    from insdvl_replay.calibration.innovations import read_dive
+    from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
+
+    groups, config = require_groups(only, reference=reference), config or Config()
+    dives = [read_dive([path], config, allow_damaged=allow_damaged) for path in _paths(logs)]
+    found, resolved, _, asked = calibrate_dives(
+        dives, config, groups, hold_out=[*map(str, hold_out)], reference=reference,
+        one_delay=one_delay, mounting_unknown=mounting_unknown,
+    )  # fmt: skip
+    settings = calibration_toml(answer_of(found).applied(found), [dive.prepared.alignment.start_ns for dive in asked])
+    content = calibration_result(found, resolved, figures=calibration_figures(found, asked))
+    return CommandResult(replace(content, settings=settings))
+
+
+def compare(
+    old: Text,
+    new: Text,
+    *,
+    tables: Sequence[str] = (),
+    columns: Sequence[str] = (),
+    dives: Sequence[str] = (),
+    pairs: Mapping[str, str] | None = None,
+    tolerance_pct: float | None = None,
+) -> "CommandResult":
+    """Compare stored results: tables answer, difference, dive, aggregate and change.
+
+    Parameters
+    ----------
+    old, new : str or Path
+        Result folders, or folders of results.
+    tables, columns, dives : sequence of str
+        Compare only these. Default: all.
+    pairs : mapping of str to str, optional
+        The new name of a filter by its old one.
+    tolerance_pct : float, optional
+        Changes up to this count as the same. Default: the last printed digit.
+    """
+    from insdvl_replay.changes.comparison import Selection, brief_document, compare_results, comparison_result
+
+    selection = Selection(tuple(tables), tuple(columns), tuple(dives), pairs or {}, tolerance_pct)
+    found = compare_results(Path(old), Path(new), selection)
+    return CommandResult(comparison_result(found, brief_document(found)))
+
+
+def check(
+    gates: Text, dives: Paths = (), config: Config | None = None, *, results: Text = "checked"
+) -> "CommandResult":
+    """Check dives against gates: table gates has the status of each gate on each dive.
+
+    Parameters
+    ----------
+    gates : str or Path
+        TOML file with the gates.
+    dives : str, Path or sequence of them
+        Logs or result folders. Default: those named in ``gates``.
+    config : Config, optional
+        Settings for logs. Default: those named in ``gates``.
+    results : str or Path
+        Folder for the results of logs, which are replayed if something has changed.
+    """
+    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_jobs, replay_jobs
+    from insdvl_replay.changes.formats import check_result
+    from insdvl_replay.changes.gate_file import load_gates
+    from insdvl_replay.changes.gates import Checked, checked_replay, checked_results, evaluate_gates
+    from insdvl_replay.results.folder import is_result
+
+    found = load_gates(Path(gates))
+    named, base = ([*map(str, _paths(dives))], Path()) if dives else (found.content.dives, found.path.parent)
+    files = [base / found.content.config] if found.content.config and config is None else []
+    settings = config or _load_config(found.content.preset, files)
+    options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
+    checked = list[Checked]()
+    for path in find_dives(named, base, results=True):
+        if path.suffix == ".json" or is_result(path):
+            checked += checked_results(path)
+        else:
+            jobs = plan_jobs([path], Path(results), options)
+            [outcome] = replay_jobs(jobs, known_reports(jobs, force=True), None)
+            checked.append(checked_replay(outcome.job.target, outcome.result))
+    return CommandResult(check_result(evaluate_gates(found, checked)))
+
+
+# --- Results.
 
 
 class UnknownNameError(ConfigError, KeyError):
@@ -145,8 +349,72 @@ class Named(dict[str, "pd.DataFrame"]):
         raise UnknownNameError(f"{self._kind} '{name}' is not known", hint_for(name, self, most=len(self)))
 
 
-@dataclass(frozen=True)
+def _frame(table: Any) -> "pd.DataFrame":
+    """Return a table as a data frame; missing numbers are NaN."""
+    import pandas as pd
+
+    if isinstance(table, pd.DataFrame):
+        return table
+    header, rows = header_and_rows(table)
+    return pd.DataFrame(list(rows), columns=list(header))
+
+
 class Result:
+    """What every function returns: ``tables`` are data frames, ``save`` writes a folder. A notebook shows it."""
+
+    def _screen(self) -> Sequence[Part]:
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        """Return the screen that the command line shows."""
+        import io
+
+        from rich.console import Console
+
+        from insdvl_replay.show.text import for_terminal
+
+        console = Console(width=100, file=io.StringIO(), record=True)
+        console.print(for_terminal(self._screen()))
+        return "\n".join(line.rstrip() for line in console.export_text().rstrip().split("\n"))
+
+    def _repr_html_(self) -> str:
+        from insdvl_replay.show.page import fragment
+
+        return fragment(self._screen())
+
+
+@dataclass(frozen=True)
+class CommandResult(Result):
+    """The result of `inspect`, `propose`, `calibrate`, `compare` or `check`, or of many dives."""
+
+    content: Content = field(repr=False)  # as data
+
+    @property
+    def tables(self) -> dict[str, "pd.DataFrame"]:
+        """Each table as a data frame, by name; missing values are NaN."""
+        return Named("table", {name: _frame(table) for name, table in self.content.tables.items()})
+
+    @property
+    def settings(self) -> str:
+        """The settings that `propose` or `calibrate` found, as TOML for `load_config`; else empty."""
+        return self.content.settings
+
+    def save(self, folder: Text, *, force: bool = False) -> Path:
+        """Write page, tables, report.json and, as proposed.toml, the settings into a new folder; return its path."""
+        from insdvl_replay.show.render import save_result
+
+        with result_folder(Path(folder), force=force) as made:
+            save_result(replace(self.content, data=None), made)
+        return Path(folder)
+
+    def _screen(self) -> Sequence[Part]:
+        from insdvl_replay.show.render import document
+
+        return document(self.content)
+
+
+@dataclass(frozen=True)
+class DiveResult(Result):
     """The result of one dive. In a notebook it shows the verdict on each candidate and the evidence."""
 
     report: Report  # the complete result as data
@@ -166,16 +434,10 @@ class Result:
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:
         """Each table as a data frame, by name, such as evidence or outage; missing values are NaN."""
-        import pandas as pd
-        from msgspec.structs import asdict
-
         from insdvl_replay.core.tables import each_table
 
-        frames = {
-            layout.name: pd.DataFrame([asdict(row) for row in rows], columns=list(layout.columns))
-            for layout, rows in each_table(self.report.tables)
-        }
-        return Named("table", frames)
+        rows = {layout.name: Block.of(layout.row, rows) for layout, rows in each_table(self.report.tables)}
+        return Named("table", {name: _frame(block) for name, block in rows.items()})
 
     @property
     def trajectory(self) -> "pd.DataFrame":
@@ -183,15 +445,8 @@ class Result:
         import pandas as pd
 
         from insdvl_replay.core.states import COLUMNS
-        from insdvl_replay.results.trajectory import read_trajectory, trajectory_of
 
-        if self._replay is not None:
-            found = trajectory_of(self._replay)
-        else:
-            read = read_trajectory((self.folder or Path()) / TRAJECTORY_FILE)
-            if read is None:
-                raise ResultError(f"{self.folder}: has no readable {TRAJECTORY_FILE}", "replay the log again")
-            found = read
+        found = self._trajectory
         frames = [
             pd.DataFrame(values, columns=list(COLUMNS)).assign(filter=name, time_s=found.time_s)
             for name, values in zip(found.names, found.values, strict=True)
@@ -199,23 +454,72 @@ class Result:
         return pd.concat(frames, ignore_index=True)[["filter", "time_s", *COLUMNS]]
 
     @property
-    def histories(self) -> dict[str, "pd.DataFrame"]:
-        """The full history of each filter. Only a result of `replay_log` has it; see `result_files.history_frame`."""
-        from insdvl_replay.results.result_files import history_frame
+    def _trajectory(self) -> "Trajectory":
+        from insdvl_replay.results.trajectory import read_trajectory, trajectory_of
 
-        if self._replay is None:
-            raise ValueError(f"{self.name}: a stored result has only the trajectory. Replay its log for the histories")
-        frames = {history.filter: history_frame(history) for history in self._replay.histories}
+        if self._replay is not None:
+            return trajectory_of(self._replay)
+        found = read_trajectory((self.folder or Path()) / TRAJECTORY_FILE)
+        if found is None:
+            raise ResultError(f"{self.folder}: has no readable {TRAJECTORY_FILE}", "replay the log again")
+        return found
+
+    @property
+    def histories(self) -> dict[str, "pd.DataFrame"]:
+        """The full history of each filter: states and standard deviations at each of its times."""
+        from insdvl_replay.results.frames import history_frame, read_histories
+
+        if self._replay is not None:
+            frames = {history.filter: history_frame(history) for history in self._replay.histories}
+        else:
+            frames = read_histories(self.folder or Path(), [self.report.baseline, *self.report.filters])
         return Named("filter", frames)
 
-    def save(self, folder: Text, *, force: bool = False) -> Path:
-        """Write the result folder, as `run` does, and return its path.
+    @property
+    def reference(self) -> "pd.DataFrame":
+        """The reference inside the replay, at each of its times; no rows without one."""
+        from insdvl_replay.results.frames import read_reference, reference_frame
 
-        Raises
-        ------
-        ConfigError
-            The folder exists and ``force`` is not set.
+        if self._replay is None:
+            return read_reference(self.folder or Path(), self.report.baseline)
+        replay = self._replay
+        origin = replay.histories[0].position[0]
+        return reference_frame(replay.dive.reference, replay.start_ns, replay.end_ns, origin)
+
+    def figure(self, kind: str = "error", *, width_mm: float = 88, states: str = "") -> "Figure":
+        """Return a matplotlib figure for a paper, as ``insdvl-replay figure`` draws it.
+
+        Parameters
+        ----------
+        kind : str
+            ``error``, ``track``, ``sigma``, ``nis``, ``outage`` or ``convergence``.
+        width_mm : float
+            88 is a column, 180 a page.
+        states : str
+            For ``sigma``: states, or the start of their names, such as ``ba,bg``.
         """
+        import msgspec
+
+        from insdvl_replay.results.trajectory import paper_figure
+        from insdvl_replay.show.paper import paper_canvas
+
+        reference = self.reference if kind == "track" else None
+        rows = msgspec.to_builtins(self.report.tables)
+        return paper_canvas(paper_figure(kind, self._trajectory, rows, states, reference), width_mm)
+
+    def save_tracks(self, file: Text, *, force: bool = False) -> Path:
+        """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path."""
+        from insdvl_replay.results.tracks import map_of_tracks
+
+        target = Path(file)
+        if (format_ := target.suffix.removeprefix(".")) not in MAPS:
+            raise ConfigError(f"{target}: does not end in .kml or .geojson", f"{target.with_suffix('.geojson')}")
+        with result_file(target, force=force) as path:
+            path.write_bytes(map_of_tracks(format_, self.name, self.histories, self.reference))
+        return target
+
+    def save(self, folder: Text, *, force: bool = False) -> Path:
+        """Write the result folder, as `run` does, and return its path; a ConfigError if it exists without ``force``."""
         from insdvl_replay.results.result_files import save_replay
 
         if self._replay is None:
@@ -225,26 +529,20 @@ class Result:
             save_replay(self._replay, made)
         return target
 
-    def __str__(self) -> str:
-        """Return the screen that the command line shows."""
-        import io
-
-        from rich.console import Console
-
-        from insdvl_replay.show.text import for_terminal
-
-        console = Console(width=100, file=io.StringIO(), record=True)
-        console.print(for_terminal(self._screen()))
-        return "\n".join(line.rstrip() for line in console.export_text().rstrip().split("\n"))
-
-    def _repr_html_(self) -> str:
-        from insdvl_replay.show.page import fragment
-
-        return fragment(self._screen())
-
-    def _screen(self) -> list["Part"]:
+    def _screen(self) -> Sequence[Part]:
         return dive_screen(self.report, str(self.folder / PAGE) if self.folder else "not saved")
 
 
-if TYPE_CHECKING:
-    from insdvl_replay.core.result import Part
+@dataclass(frozen=True)
+class DiveResults(CommandResult):
+    """The results of several dives; table pooled is the pooled evidence, and summary has a row for each dive."""
+
+    dives: dict[str, DiveResult]  # by folder, which has the name of the dive
+
+    @property
+    def words(self) -> dict[str, str]:
+        """The verdict of all dives together on each candidate that at least two of them have."""
+        from insdvl_replay.show.dives import pooled_candidates
+
+        pooled = pooled_candidates([dive.report for dive in self.dives.values()])
+        return {found.name: str(found.verdict) for found in pooled}

@@ -177,7 +177,8 @@ def _public(name: str, found: Any) -> Iterator[str]:
         rows.append(
             (f"`{shown}`".replace("|", r"\|"), "property" if isinstance(kind, property) else "method", _first(kind))
         )
-    yield f"\n{markdown_table(('member', 'type', 'meaning'), rows)}\n"
+    if rows:
+        yield f"\n{markdown_table(('member', 'type', 'meaning'), rows)}\n"
 
 
 def _comments(found: type) -> dict[str, str]:

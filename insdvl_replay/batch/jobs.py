@@ -28,6 +28,7 @@ from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progr
 from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import (
     COMPLETE,
+    MAPS,
     NOT_JSON,
     REPLAY_LOG,
     damaged_files,
@@ -50,7 +51,7 @@ class ReplayOptions:
     config: Config
     allow_damaged: bool = False  # use what can be read of a damaged log
     control: bool = False  # add the baseline with its noise fitted
-    trajectories: bool = False  # write TUM files, too
+    tracks: tuple[str, ...] = ()  # formats of tracks that are written, too
     histories: bool = True  # write replay.mcap
     history_format: str = ""  # of each filter's history next to it; empty for none
     version: str = __version__  # of the tool, which workers elsewhere must have, too
@@ -127,7 +128,8 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
     try:
         report = decode_report(read_file(job.target / COMPLETE))
         names = (report.baseline, *report.filters)
-        wanted = {*map(trajectory_file, names)} if options.trajectories else set()
+        wanted = {*map(trajectory_file, names)} if "tum" in options.tracks else set()
+        wanted |= {file for format_, file in MAPS.items() if format_ in options.tracks}
         wanted |= {REPLAY_LOG} if options.histories else set()
         wanted |= {history_file(name, options.history_format) for name in names} if options.history_format else set()
         config, codes = report.config, {note.code for note in report.notes}
@@ -213,7 +215,8 @@ def replay_into(job: ReplayJob) -> bytes:
         return (job.target / COMPLETE).read_bytes()
     # Heavy, and often no dive is replayed.
     from insdvl_replay.replay import replay_log
-    from insdvl_replay.results.result_files import save_histories, save_replay, save_trajectories
+    from insdvl_replay.results.result_files import save_histories, save_replay
+    from insdvl_replay.results.tracks import save_tracks
 
     run = replay_log
     if options.control:
@@ -228,8 +231,7 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
-        if options.trajectories:
-            save_trajectories(replay, folder)
+        save_tracks(replay, folder, options.tracks)
         if options.history_format:
             save_histories(replay, folder, options.history_format)
         report = decode_report((folder / COMPLETE).read_bytes())

@@ -7,7 +7,6 @@ from msgspec import Meta, Struct
 
 from insdvl_replay.core.tables import Number
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.evaluation.notes import CLASSES
 
 
 class ParameterRow(Struct, frozen=True):
@@ -47,6 +46,8 @@ class NoiseRow(Struct, frozen=True):
     @property
     def is_proposed(self) -> bool:
         """Whether it is estimated, or a limit below the configured value; never a noise that no sensor has."""
+        from insdvl_replay.evaluation.notes import CLASSES  # heavy, and a schema needs the rows alone
+
         limit = self.status == Estimated.NOT_DETERMINED and self.after != self.before
         is_possible = CLASSES[self.parameter].least <= self.after < math.inf
         return is_possible and (limit or self.status == Estimated.ESTIMATED)

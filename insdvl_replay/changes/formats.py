@@ -12,7 +12,7 @@ from insdvl_replay.changes.cells import cell_name
 from insdvl_replay.changes.gate_file import TRAJECTORY
 from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.result import DisplayTable, Part, Result, Title, Tool, this_tool
+from insdvl_replay.core.result import Block, DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.show.document import MISSING, counted
 from insdvl_replay.show.render import render
@@ -77,7 +77,9 @@ def check_result(found: CheckResult) -> Result:
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
-    return Result("check", "Gates", document=parts, data=report)
+    every = [(item.dive, item.gate, str(item.status), "; ".join(item.explained)) for item in found.outcomes]
+    tables = {"gates": Block(("dive", "gate", "status", "why"), every)}
+    return Result("check", "Gates", tables=tables, document=parts, data=report)
 
 
 def check_sentence(found: CheckResult) -> str:

@@ -12,7 +12,7 @@ import typer
 
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
-from insdvl_replay.core.errors import ConfigError, LogError, require_known
+from insdvl_replay.core.errors import LogError
 
 if TYPE_CHECKING:
     from insdvl_replay.calibration.innovations import ReadDive
@@ -63,7 +63,7 @@ def inspect(
     from insdvl_replay.cli.screen import progress, written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.result import as_json
-    from insdvl_replay.inspection.inventory import inspection_result, inventory_csv
+    from insdvl_replay.inspection.inventory import inspection_result
     from insdvl_replay.inspection.survey import inspect_log
     from insdvl_replay.results.folder import require_replaceable_file
 
@@ -85,7 +85,6 @@ def inspect(
             code = max(code, log_failure(error, verbose))
             continue
         if format_ != "json":
-            is_csv, space = format_ == "csv", "\n" if inventories else ""
             arguments = shlex.join(
                 [
                     *map(str, dive),
@@ -96,8 +95,8 @@ def inspect(
                     *(["--allow-damaged"] if allow_damaged else []),
                 ]
             )
-            text = inventory_csv(inventory) if is_csv else written(inspection_result(inventory, arguments), format_)
-            write_stdout(space + text)
+            text = written(inspection_result(inventory, arguments), format_)
+            write_stdout(("\n" if inventories else "") + text)
         inventories.append(inventory)
         inspected.append(dive)
     if format_ == "json":
@@ -194,25 +193,15 @@ def calibrate(
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
     from insdvl_replay.calibration.answer import answer_of
-    from insdvl_replay.calibration.calibration import calibrate as calibrated
-    from insdvl_replay.calibration.calibration import held_out_row
-    from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
-    from insdvl_replay.calibration.innovations import ALL_GROUPS, REFERENCE_GROUPS, Geometry
+    from insdvl_replay.calibration.dives import calibrate_dives, require_groups
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
-    from insdvl_replay.calibration.reference import with_reference
     from insdvl_replay.cli.screen import CALIBRATION, compiling, progress, written
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.core.runtime import track_progress
     from insdvl_replay.results.folder import require_replaceable_file, result_file
     from insdvl_replay.show.render import render
 
     resolved = load_config(preset, config, settings, allow_code=allow_code)
-    known_groups = REFERENCE_GROUPS if reference else ALL_GROUPS
-    groups = known_groups if only is None else tuple(name.strip() for name in only.split(",") if name.strip())
-    for name in groups:
-        require_known("--only", name, known_groups)
-    if not groups:
-        raise ConfigError("--only names nothing", f"choose from {', '.join(known_groups)}, separated by commas")
+    groups = require_groups(None if only is None else only.split(","), reference=reference)
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
@@ -220,18 +209,10 @@ def calibrate(
         dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
             return failed
-        kept, held = _divided(dives, hold_out)
-        known, mountings = Geometry.of(resolved.dvl), len(possible_axes(kept[0].dive.dvl))
-        if mounting == "unknown":
-            resolved = with_mounting(resolved, likeliest_mounting(kept))
-            kept, held = ([dive.with_config(resolved) for dive in some] for some in (kept, held))
-        asked = [dive.innovations() for dive in kept]
-        found = calibrated(asked, resolved, groups, one_delay=delays == "one")
-        found = with_reference(found, kept, asked, groups) if reference else found
-        found = found.from_mounting(known, mountings) if mounting == "unknown" else found
-        noise = found.noise if found.proposes_noise else None
-        others = [held_out_row(dive, found.change, noise) for dive in track_progress("testing on held-out dives", held)]
-        found = replace(found, held_out=tuple(others))
+        found, resolved, kept, asked = calibrate_dives(
+            dives, resolved, groups, hold_out=hold_out, reference=reference,
+            one_delay=delays == "one", mounting_unknown=mounting == "unknown",
+        )  # fmt: skip
     for read, prepared in zip(kept, (dive.prepared for dive in asked), strict=True):
         notes = (*read.dive.notes, *prepared.notes)
         log_notes([replace(note, text=f"{read.dive.name}: {note.text}") for note in notes], verbose=verbose > 0)
@@ -277,29 +258,6 @@ def _read(
         except Exception as error:
             code = max(code, log_failure(error, verbose))
     return dives, code
-
-
-def _divided(dives: list["ReadDive"], hold_out: list[str]) -> tuple[list["ReadDive"], list["ReadDive"]]:
-    """Return the dives to fit and the held-out dives: a share of all, evenly spread, or those that are named."""
-    names = [read.dive.name for read in dives]
-    aside: set[int] = set()
-    for wanted in hold_out:
-        try:
-            share = float(wanted)
-        except ValueError:
-            require_known("--hold-out", wanted, names)
-            aside.update(row for row, name in enumerate(names) if name == wanted)
-            continue
-        if not 0.0 < share < 1.0:
-            raise ConfigError(f"--hold-out {wanted}: a share is between 0 and 1", "for example --hold-out 0.3")
-        count = max(1, round(share * len(names)))
-        aside.update(len(names) - 1 - round(i * len(names) / count) for i in range(count))
-    if len(aside) == len(names):
-        raise ConfigError("--hold-out leaves no dive to fit", "name more dives, or hold out fewer")
-    return (
-        [read for row, read in enumerate(dives) if row not in aside],
-        [read for row, read in enumerate(dives) if row in aside],
-    )
 
 
 # --- study

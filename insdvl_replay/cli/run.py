@@ -48,6 +48,10 @@ def run(
     tum: Annotated[
         bool, typer.Option("--tum", help="Also write trajectories for evo: filter_NAME.tum and reference.tum.")
     ] = False,
+    kml: Annotated[bool, typer.Option("--kml", help="Also write all tracks as tracks.kml, for Google Earth.")] = False,
+    geojson: Annotated[
+        bool, typer.Option("--geojson", help="Also write all tracks as tracks.geojson, for QGIS and web maps.")
+    ] = False,
     history: Annotated[
         Literal["csv", "parquet"] | None, typer.Option("--history", help="Also write the full history of each filter.")
     ] = None,
@@ -78,7 +82,7 @@ def run(
       insdvl-replay run archive --jobs 4
       insdvl-replay run dive.mcap --table evidence --format csv
       insdvl-replay run dives/*.mcap --table pooled --table summary --format latex > tables.tex
-      insdvl-replay run dive.mcap --tum
+      insdvl-replay run dive.mcap --tum --kml --geojson
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
     """
     from insdvl_replay.batch.dive_paths import find_dives
@@ -110,7 +114,7 @@ def run(
         load_config(preset, config, given, allow_code=allow_code),
         allow_damaged=allow_damaged,
         control=control,
-        trajectories=tum,
+        tracks=tuple(name for name, is_wanted in (("tum", tum), ("kml", kml), ("geojson", geojson)) if is_wanted),
         history_format=history or "",
     )
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
-NARROWEST_MM, WIDEST_MM = 20.0, 1000.0
+NARROWEST_MM, WIDEST_MM = 60.0, 1000.0
 SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check")
 """Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
 of the other commands."""
@@ -340,18 +340,25 @@ def figure(
     """
     from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.core.result import StoredReport
-    from insdvl_replay.results.folder import TRAJECTORY_FILE, result_file
+    from insdvl_replay.results.folder import REPLAY_LOG, TRAJECTORY_FILE, result_file
     from insdvl_replay.results.stored_results import read_one_result
-    from insdvl_replay.results.trajectory import KINDS, chosen_states, paper_figure, read_trajectory
+    from insdvl_replay.results.trajectory import chosen_states, paper_figure, read_trajectory
     from insdvl_replay.show.paper import drawn
 
     if states and kind != "sigma":
         raise ConfigError(f"--states {states}: works with sigma only, not with {kind}", "leave it out")
-    chosen, width_mm = chosen_states(states), _width_mm(width)
+    chosen_states(states)  # a wrong name is reported before anything is read
+    width_mm = _width_mm(width)
     folder, report = read_one_result(result, StoredReport)
     trajectory = read_trajectory(folder / TRAJECTORY_FILE)
     if trajectory is None:
         raise ConfigError(f"{folder}: has no {TRAJECTORY_FILE} that can be read", "replay the log again")
+    reference = None
+    if kind == "track" and (folder / REPLAY_LOG).is_file():
+        from insdvl_replay.results.frames import read_reference
+
+        reference = read_reference(folder, report.baseline)
+    drawing = paper_figure(kind, trajectory, report.tables, states, reference)
     target = output or Path(f"{kind}.{format_}")
     if target.suffix != f".{format_}":
         ending = target.suffix.lstrip(".")
@@ -359,10 +366,7 @@ def figure(
         hint = f"--format {ending}" if ending in known else f"-o {target.with_suffix(f'.{format_}')}"
         raise ConfigError(f"{target}: does not end in .{format_}", hint)
     with result_file(target, force=force) as path:
-        figure = paper_figure(kind, trajectory, report.tables.get("outage", []), chosen)
-        if not figure.panels:
-            raise ConfigError(f"there is nothing to draw for {kind}", f"kinds: {', '.join(KINDS)}")
-        path.write_bytes(drawn(figure, format_, width_mm))
+        path.write_bytes(drawn(drawing, format_, width_mm))
     log_to_stderr(f"wrote {target}")
 
 

@@ -252,7 +252,7 @@ class Block:
     @classmethod
     def of(cls, kind: type[Struct], rows: Iterable[Struct]) -> "Block":
         """Return a table of rows of one type, possibly none."""
-        return cls(kind.__struct_fields__, map(astuple, rows))
+        return cls(kind.__struct_fields__, [*map(astuple, rows)])
 
 
 @dataclass(frozen=True)
@@ -273,6 +273,7 @@ class Result:
     display: Sequence[Part] = ()  # the tables as shown; empty: by their row types
     document: Sequence[Part] | None = None  # all parts in another order; None: in the usual order
     data: Any = None  # content of the JSON, if it is not the above
+    settings: str = ""  # TOML for ``-c`` that the command found
 
 
 class ResultJson(Struct, frozen=True):

@@ -14,6 +14,7 @@ import msgspec
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import Note, counted, listed
 from insdvl_replay.core.result import (
+    Block,
     Callout,
     CellText,
     Code,
@@ -26,7 +27,7 @@ from insdvl_replay.core.result import (
     Title,
 )
 from insdvl_replay.core.words import Reading
-from insdvl_replay.show.document import MISSING, blocks_csv, number, table_of
+from insdvl_replay.show.document import MISSING, number, table_of
 
 
 @dataclass(frozen=True)
@@ -210,14 +211,13 @@ def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
         left = left or [Remark("nothing to decide")]
         proposal = (Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), Sentences(tuple(left)))
         parts.append(Only(("terminal", "markdown"), proposal))
-    return Result("inspection", log.name, document=parts, data=inventory)
+    return Result("inspection", log.name, tables=_blocks(inventory), document=parts, data=inventory)
 
 
-def inventory_csv(inventory: Inventory) -> str:
-    """Write what is known of a log as tables one after the other.
+def _blocks(inventory: Inventory) -> dict[str, Block]:
+    """Return what is known of a log as tables; those without rows are left out, and so are the proposed settings.
 
-    The column ``log`` allows to join the tables of several logs. Several values in a cell are separated by ``; ``.
-    Tables without rows are left out, and so are the proposed settings.
+    The column ``log`` allows to join the tables of several logs.
     """
     known, name = asdict(inventory), inventory.log.name
     tables: dict[str, list[dict[str, Any]]] = {
@@ -235,10 +235,11 @@ def inventory_csv(inventory: Inventory) -> str:
             for key, value in keys.items()
         ],
     }
-    blocks = {
-        table: (("log", *rows[0]), [(name, *row.values()) for row in rows]) for table, rows in tables.items() if rows
+    return {
+        table: Block(("log", *rows[0]), [(name, *row.values()) for row in rows])
+        for table, rows in tables.items()
+        if rows
     }
-    return blocks_csv("table", blocks)
 
 
 def inventory_tables(inventory: Inventory) -> list[DisplayTable]:

@@ -230,7 +230,7 @@ _ATMOSPHERE_PA: Final = 101325.0
 _SEA_WATER_KGPM3: Final = 1025.0
 _BEAMS_FOR_VELOCITY: Final = 3
 _UNKNOWN_VARIANCE: Final = -1.0
-_UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
+UNIT_NAMES: Final = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 _DVL_MESSAGES: Final = {
     "velocity": ("insdvl_msgs/msg/DvlVelocity", "velocity_mps"),
     "acceleration": ("insdvl_msgs/msg/DvlAcceleration", "acceleration_mps2"),
@@ -401,7 +401,7 @@ def _filter_batches(history: History, errors: Any, origin: Floats) -> list[Batch
         odometry = [_odometry_batch(topic, motion, origin), _fix_batch(topic, motion)]
     if history.predicted.any():
         columns = {
-            f"{state.id}_{_UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor for state in STATES
+            f"{state.id}_{UNIT_NAMES[state.unit]}": history.sd[:, state.index] / state.factor for state in STATES
         }
         batches.append(stamped(f"{topic}/sigma", "insdvl_msgs/msg/FilterSigma", history.time_ns, NED, columns))
     if errors is not None:

@@ -26,6 +26,8 @@ REPLAY_LOG: Final = "replay.mcap"
 TRAJECTORY_FILE: Final = "trajectory.npz"
 """Every filter once a second."""
 REFERENCE_TRAJECTORY: Final = "reference.tum"
+MAPS: Final = {"kml": "tracks.kml", "geojson": "tracks.geojson"}
+"""Files of all tracks of a dive, by format."""
 LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")
 """Viewer layouts for replay.mcap."""
 DIVE_FILES: Final = (
@@ -270,7 +272,7 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
         label = _Label(tool={})
     if label.tool.get("name") == TOOL:
         trajectories = map(trajectory_file, [label.baseline, *label.filters])
-        return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY})}
+        return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY, *MAPS.values()})}
     # Checks and early versions do not write these.
     needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None

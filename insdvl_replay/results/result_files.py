@@ -1,47 +1,36 @@
-"""A replay on disk: the files of a result folder, and histories and trajectories for other tools."""
+"""A replay on disk: the files of a result folder."""
 
 import re
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-import numpy as np
 
 from insdvl_replay import __version__, logs
 from insdvl_replay.core.config_file import render_toml
-from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, seconds
+from insdvl_replay.core.dive_columns import Floats, TimeNs
 from insdvl_replay.core.errors import ConfigError, visible
-from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import HELD_OUT, is_whole
 from insdvl_replay.core.result import Block, Report, as_json, build_report, this_tool
 from insdvl_replay.core.runtime import report_stage
-from insdvl_replay.core.states import DEG, DEG_PER_HOUR, DVL_AIDING, MG, STATES
+from insdvl_replay.core.states import DVL_AIDING
 from insdvl_replay.core.tables import each_table
-from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
-from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.replay import Replay
 from insdvl_replay.results.folder import (
     COMPLETE,
     LAYOUT_FILES,
     PAGE,
-    REFERENCE_TRAJECTORY,
     REPLAY_LOG,
     TRAJECTORY_FILE,
     history_file,
-    trajectory_file,
 )
+from insdvl_replay.results.frames import history_frame
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.show.dive import NO_REFERENCE, has_reference
 from insdvl_replay.show.dive_page import dive_page
 from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 CSV, PARQUET = "csv", "parquet"
-_AXES: Final = ("x", "y", "z")
 
 
 def report_of(replay: Replay) -> Report:
@@ -124,62 +113,6 @@ def _log_lines(report: Report) -> Iterator[str]:
     for note in report.notes:
         hint = f" (hint: {note.hint})" if note.hint else ""
         yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"
-
-
-def save_trajectories(replay: Replay, folder: Path) -> None:
-    """Write the trajectory of each filter, and of the reference inside the replay, if its positions are known.
-
-    All count from where the baseline starts, and all are of the IMU.
-    """
-    origin = replay.histories[0].position[0]
-    for history in replay.histories:
-        text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
-        (folder / trajectory_file(history.filter)).write_bytes(text)
-    if replay.dive.reference is not None:
-        inside = replay.dive.reference.within(replay.start_ns, replay.end_ns)
-        if text := tum_trajectory(inside.time_ns, inside.position, inside.mat_nb, origin):
-            (folder / REFERENCE_TRAJECTORY).write_bytes(text)
-
-
-def tum_trajectory(
-    time_ns: TimeNs,  # (k,)
-    position: Floats,  # (k, 3): latitude rad, longitude rad, height m
-    mat_nb: Floats,  # (k, 3, 3); NaN where no attitude is known
-    origin: Floats,  # (3,): from which east, north and up are counted
-) -> bytes:
-    """Write a trajectory as TUM: times to the nanosecond; forward-port-up to east-north-up.
-
-    The format knows no missing positions: times without one have no line. A missing attitude is NaN, which evo takes
-    where it compares positions.
-    """
-    known = np.isfinite(position).all(axis=1)
-    columns = np.hstack([east_north_up_m(position[known], origin), quat_enu_flu(mat_nb[known])])
-    lines = []
-    for time, row in zip(time_ns[known].tolist(), columns.tolist(), strict=True):
-        second, nanosecond = divmod(time, NS_PER_S)
-        lines.append(f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n")
-    return "".join(lines).encode()
-
-
-def history_frame(history: History) -> "pd.DataFrame":
-    """Return the history of a filter, a row for each time, in shown units; dv_n_sd and so on are of all its states."""
-    import pandas as pd
-
-    rpy_deg = rpy_from_mat(history.mat_nb) / DEG
-    columns: dict[str, object] = {
-        "time_ns": history.time_ns,
-        "time_s": seconds(history.time_ns, history.time_ns[0]),
-        "updated": history.updated,
-        "latitude_deg": history.position[:, 0] / DEG,
-        "longitude_deg": history.position[:, 1] / DEG,
-        "height_m": history.position[:, 2],
-        **{f"velocity_{axis}_mps": history.velocity_n[:, place] for place, axis in enumerate("ned")},
-        **{f"{name}_deg": rpy_deg[:, place] for place, name in enumerate(("roll", "pitch", "heading"))},
-        **{f"ba_{axis}_mg": history.accel_bias_b[:, place] / MG for place, axis in enumerate(_AXES)},
-        **{f"bg_{axis}_degph": history.gyro_bias_b[:, place] / DEG_PER_HOUR for place, axis in enumerate(_AXES)},
-        **{f"{state.id}_sd": history.sd[:, state.index] / state.factor for state in STATES},
-    }
-    return pd.DataFrame({name: np.asarray(column) for name, column in columns.items()})
 
 
 def save_histories(replay: Replay, folder: Path, format_: str) -> None:

@@ -29,7 +29,7 @@ def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
     Results of studies, which have no tables of a dive, are left out and counted. A place without a result of a dive is
     a ConfigError, a report that cannot be read a ResultError.
     """
-    reports, studies = _read_reports(root, StoredReport)
+    reports, studies = read_reports(root, StoredReport)
     results = [
         StoredResult(file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report)
         for file, report in reports
@@ -43,13 +43,13 @@ def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
 
     As `json_report.Report` those of this version alone can be read, as `StoredReport` all.
     """
-    ((file, report), *others), _ = _read_reports(root, kind)
+    ((file, report), *others), _ = read_reports(root, kind)
     if others:
         raise ConfigError(f"{root}: holds {len(others) + 1} results", f"name one of them, such as {file.parent}")
     return file.parent, report
 
 
-def _read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]], int]:
+def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]], int]:
     """Read the reports of all dives in a place, of which there must be one, and count those of studies."""
     read = [(file, _read_report(file, kind)) for file in sorted(_report_files(root))]
     reports = [(file, report) for file, report in read if report is not None]

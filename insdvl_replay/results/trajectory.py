@@ -17,15 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
-from insdvl_replay.core.errors import require_known
-from insdvl_replay.core.result import PREDICTED, Curve, Figure, Panel, Row, filter_style
+from insdvl_replay.core.errors import ConfigError, require_known
+from insdvl_replay.core.quantities import AXES
+from insdvl_replay.core.result import LIMIT, PREDICTED, REFERENCE, Curve, Figure, Panel, Row, filter_style
 from insdvl_replay.core.states import COLUMNS, DEG, DEG_PER_HOUR, GROUPS, MG, STATES
+from insdvl_replay.evaluation.consistency import mean_interval
 from insdvl_replay.geometry.frames import north_east_down_m
 from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.results.folder import read_file
 
 if TYPE_CHECKING:
     # Only their types are needed: who reads a trajectory must not wait for the filters.
+    import pandas as pd
+
     from insdvl_replay.replay import Replay
 
 _CURVE: Final = "curve_"
@@ -153,9 +157,19 @@ KINDS: Final = ("error", "track", "sigma", "nis", "outage", "convergence")
 """What can be drawn."""
 
 
-def paper_figure(kind: str, trajectory: Trajectory, outage: Sequence[Row], states: tuple[str, ...]) -> Figure:
-    """Return a figure of a kind: of a trajectory, of the rows of the table ``outage``, of the sigma of ``states``."""
-    names, panels = trajectory.names, []
+def paper_figure(
+    kind: str,
+    trajectory: Trajectory,
+    tables: Mapping[str, Sequence[Row]],
+    states: str = "",
+    reference: "pd.DataFrame | None" = None,
+) -> Figure:
+    """Return a figure of a kind, by the tables of the dive; states are for sigma, the reference for the track."""
+    require_known("figure", kind, KINDS, most=len(KINDS))
+    chosen = chosen_states(states)
+    names, panels = trajectory.names, list[Panel]()
+    styles = [filter_style(number) for number in range(len(names))]
+    legend = [*zip(styles, names, strict=True)]
 
     def panel(title: str, x_label: str, curves: Sequence[Sequence[Curve]], **axes: Any) -> None:
         baseline_last = (*curves[1:], *curves[:1])  # curves that equal it are seen through its dashes
@@ -165,45 +179,68 @@ def paper_figure(kind: str, trajectory: Trajectory, outage: Sequence[Row], state
         for column, title in columns.items():
             series = [trajectory.of(name, column) for name in names]
             if kind == "sigma" or any(np.isfinite(values).any() for values in series):
-                curves = [[Curve(trajectory.time_s, y, filter_style(number))] for number, y in enumerate(series)]
-                panel(title, "time [s]", curves, **axes)
+                curves = [[Curve(trajectory.time_s, y, style)] for style, y in zip(styles, series, strict=True)]
+                band = _consistent(column, trajectory.time_s, tables) if kind == "nis" else []
+                panel(title, "time [s]", [*curves[:1], band, *curves[1:]], **axes)
 
     match kind:
         case "error":
             over_time(_ERRORS)
         case "nis":
-            over_time(_NIS, y_scale="log", levels=(1.0,))
+            over_time(_NIS, y_scale="log")
+            legend.append((f"band {LIMIT}", "95 % of a consistent filter"))
         case "sigma":
-            chosen = [state for state in STATES if not states or state.id.startswith(states)]
-            over_time({f"{state.id}_sd": f"{state.label} [{state.unit}]" for state in chosen})
+            shown = [state for state in STATES if not chosen or state.id.startswith(chosen)]
+            over_time({f"{state.id}_sd": f"{state.label} [{state.unit}]" for state in shown})
         case "track":
             tracks = [(trajectory.of(name, "position_e_m"), trajectory.of(name, "position_n_m")) for name in names]
-            curves = [[Curve(*track, filter_style(number))] for number, track in enumerate(tracks)]
-            panel("north [m]", "east [m]", curves, equal=True)
-        case "outage" if outage:
+            curves = [[Curve(*track, style)] for style, track in zip(styles, tracks, strict=True)]
+            true = []
+            if reference is not None and reference["position_n_m"].notna().any():
+                east_m, north_m = (reference[f"position_{axis}_m"].to_numpy() for axis in "en")
+                true = [Curve(east_m, north_m, REFERENCE)]
+            line = (true or [curve for (curve,) in curves])[0]
+            known = np.flatnonzero(np.isfinite(line.x))
+            marks = [
+                Curve(line.x[[row]], line.y[[row]], style, points=True)
+                for style, row in zip(("start", "end"), known[[0, -1]] if len(known) else (), strict=False)
+            ]
+            panel("north [m]", "east [m]", [marks, *curves[1:], true, curves[0]], equal=True)
+            legend += [*([(REFERENCE, REFERENCE)] if true else []), ("start", "start"), ("end", "end")]
+        case "outage" if rows := tables.get("outage", ()):
             curves = []
-            for number, name in enumerate(names):
-                rows = [row for row in outage if row.get("filter") == name]
-                at_s = np.array([float(str(row["window_s"])) for row in rows])
+            for style, name in zip(styles, names, strict=True):
+                own = [row for row in rows if row.get("filter") == name]
+                at_s = np.array([float(str(row["window_s"])) for row in own])
                 median_m, p95_m = (
-                    np.array([_number(row.get(column)) for row in rows]) for column in ("drift_median_m", "drift_p95_m")
+                    np.array([_number(row.get(column)) for row in own]) for column in ("drift_median_m", "drift_p95_m")
                 )
-                style = filter_style(number)
                 thin = Curve(at_s, p95_m, f"{style} {PREDICTED}")
                 curves.append([Curve(at_s, median_m, style), Curve(at_s, median_m, style, points=True), thin])
-            title, axes = "drift [m], median and 95 %", {"x_scale": "log", "y_scale": "log"}
-            panel(title, "time without DVL [s]", curves, **axes)
+            panel("drift [m]", "time without DVL [s]", curves, x_scale="log", y_scale="log")
+            legend += [(REFERENCE, "median"), (f"{REFERENCE} {PREDICTED}", "95 %")]
         case "convergence":
             for quantity, (title, unit) in _CONVERGED.items():
                 if (time_s := trajectory.curves.get(f"{quantity}_time_s")) is not None:
                     rms, predicted = (trajectory.curves[f"{quantity}_{kind}"] / unit for kind in ("rms", "predicted"))
-                    styles = [filter_style(number) for number in range(len(names))]
                     curves = [
                         [Curve(time_s, rms[i], style), Curve(time_s, predicted[i], f"{style} {PREDICTED}")]
                         for i, style in enumerate(styles)
                     ]
                     panel(title, "time [s]", curves, y_scale="log")
-    return Figure("", "", tuple(panels), tuple((filter_style(number), name) for number, name in enumerate(names)))
+            legend += [(REFERENCE, "measured"), (f"{REFERENCE} {PREDICTED}", "predicted")]
+    if not panels:
+        raise ConfigError(f"there is nothing to draw for {kind}", f"kinds: {', '.join(KINDS)}")
+    return Figure("", "", tuple(panels), tuple(legend))
+
+
+def _consistent(column: str, time_s: Floats, tables: Mapping[str, Sequence[Row]]) -> list[Curve]:
+    """Return the NIS over its degrees of freedom that is expected, with 95 % of its values."""
+    measurement = column.removeprefix("nis_")
+    rows = [row for row in tables.get("consistency", ()) if row.get("measurement") == measurement]
+    dof = int(_number(rows[0]["dof"])) if rows else len(AXES)
+    low, high = (np.full(len(time_s), limit / dof) for limit in mean_interval(dof, 1))
+    return [Curve(time_s, np.ones(len(time_s)), LIMIT, band=(low, high))]
 
 
 def _number(value: object) -> float:

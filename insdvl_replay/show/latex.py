@@ -58,7 +58,7 @@ def _table(table: DisplayTable, about: str, labels: set[str]) -> str:
             r"\centering",
             rf"\caption{{{_text(caption)}}}",
             rf"\label{{tab:{_label(about, table.title, labels)}}}",
-            r"\footnotesize",
+            r"\footnotesize\setlength{\tabcolsep}{3pt}",
             rf"\begin{{tabular}}{{{''.join(formats)}}}",
             r"\toprule",
             head,
@@ -90,7 +90,7 @@ def _column(letter: str, head: str, *column: CellText) -> list[str]:
     numbers = [number for number in found if number is not None]
     if letter != "r" or not numbers or len(numbers) < len(found) or len({number["unit"] for number in numbers}) > 1:
         is_long = max(map(len, texts), default=0) > _LONGEST_CELL
-        return ["p{35mm}" if letter == "l" and is_long else letter, *map(_cell, (title, *texts))]
+        return ["p{25mm}" if letter == "l" and is_long else letter, *map(_cell, (title, *texts))]
     unit = " [%]" if numbers[0]["unit"] else ""
     missing, plain = f"{{{MISSING * 2}}}", (re.sub(r"e([+-])0+", r"e\1", text.removesuffix(" %")) for text in texts)
     return [_siunitx(numbers), f"{{{_text(title + unit)}}}", *(missing if text == MISSING else text for text in plain)]

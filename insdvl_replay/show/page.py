@@ -85,8 +85,9 @@ def _digest(text: str) -> str:
 
 def fragment(document: Document) -> str:
     """Render a document as a part of another page, such as a notebook, without a style of its own."""
-    titles = "".join(f"<h3>{escape(part.text)}</h3>" for part in document if isinstance(part, Title))
-    return f"<div>{titles}{''.join(_html(part) for part in document if not isinstance(part, Title))}</div>"
+    shown = parts_for("html", document)
+    parts = [f"<h3>{escape(part.text)}</h3>" if isinstance(part, Title) else _html(part) for part in shown]
+    return f"<div>{''.join(parts)}</div>"
 
 
 def escape(text: str) -> str:

@@ -104,7 +104,8 @@ def result_json(result: Result) -> bytes:
 def _records(table: Any) -> list[dict[str, Any]]:
     if isinstance(table, Sequence):
         return [msgspec.structs.asdict(row) for row in table]
-    return [{str(column): value for column, value in row.items()} for row in table.to_dict("records")]
+    header, rows = header_and_rows(table)
+    return [{str(column): value for column, value in zip(header, row, strict=True)} for row in rows]
 
 
 def result_schema(tables: Mapping[str, type[Struct]]) -> dict[str, Any]:
@@ -133,5 +134,7 @@ def save_result(result: Result, folder: Path, *, png: bool = False) -> None:
         (folder / f"{name}.csv").write_bytes(table_csv(table))
     if result.config is not None:
         (folder / "config.toml").write_text(render_toml(result.config), "utf-8")
+    if result.settings:
+        (folder / "proposed.toml").write_text(result.settings, "utf-8")
     (folder / "report.html").write_bytes(page(document(result)))
     (folder / "report.json").write_bytes(result_json(result))

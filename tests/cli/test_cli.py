@@ -17,20 +17,21 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
-        "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--history <csv|parquet>", "--strict",
+        "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--kml", "--geojson",
+        "--history <csv|parquet>", "--strict",
         "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
-        "--only-changed", "--all", "--fail-on P%",
+        "--only-changed", "--all", "--fail-on worse|P%",
         "--format <table|json|csv|md|latex|html>", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>",
         "-h, --help",
     ],
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
         "--set KEY=VALUE", "--allow-damaged", "--allow-code",
-        "--format <text|md|json|junit|github>", "--output FILE", "--summary-file FILE", "--only GATE",
+        "--format <text|md|json|junit|github|html>", "--output FILE", "--summary-file FILE", "--only GATE",
         "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
     ],
@@ -42,7 +43,8 @@ DOCUMENTED = {
     "calibrate": [
         "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
         "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
-        "--format <table|json|csv|md|latex>", "--allow-damaged", "--allow-code", "--one-dive", "--force",
+        "--even-if-worse", "--format <table|json|csv|md|latex>", "--allow-damaged", "--allow-code", "--one-dive",
+        "--force",
         "-v, --verbose", "--color <auto|always|never>", "-h, --help",
     ],
     "figure": [

@@ -11,10 +11,11 @@ from rosbag_messages import START_NS, imu_messages, serialised, store_with
 
 from insdvl_replay.core.config import Config, Dvl
 from insdvl_replay.core.errors import LogError
-from insdvl_replay.inspection.inventory import inventory_csv, inventory_tables
+from insdvl_replay.inspection.inventory import inspection_result, inventory_tables
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.definitions import definition_text, definitions_of
+from insdvl_replay.show.render import render
 
 IMU_TYPE = "sensor_msgs/msg/Imu"
 BARE = definition_text(IMU_TYPE).split("=" * 80)[0]
@@ -80,7 +81,7 @@ def test_thousands_of_topics_are_folded_for_people_and_whole_for_scripts(tmp_pat
     (folded,) = (row for row in table.rows if row[0][0] == "mavlink/1/1/RAW_IMU/*")
     assert folded[0][1] == "  10 topics, json"
     assert folded[2] == "30"
-    assert inventory_csv(inventory).count("mavlink/1/1/RAW_IMU/") == 10
+    assert render(inspection_result(inventory), "csv").count("mavlink/1/1/RAW_IMU/") == 10
 
 
 def test_imu_of_telemetry_is_too_slow_and_the_file_with_all_of_it_is_named(tmp_path: Path) -> None:

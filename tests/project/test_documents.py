@@ -241,7 +241,8 @@ def test_python_in_the_pages_names_what_there_is(document: str) -> None:
             assert all(hasattr(module, alias.name) for alias in node.names)
         for node in ast.walk(tree):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "result":
-                assert hasattr(insdvl_replay.Result, node.attr) or node.attr in insdvl_replay.Result.__annotations__
+                found = insdvl_replay.DiveResult
+                assert hasattr(found, node.attr) or node.attr in found.__annotations__
     assert blocks or document != "docs/python.md"
 
 

@@ -1,0 +1,125 @@
+"""The tracks of a replay for other tools: TUM for evo, GeoJSON and KML for maps."""
+
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.errors import visible
+from insdvl_replay.core.result import REFERENCE, filter_style
+from insdvl_replay.geometry.frames import east_north_up_m, quat_enu_flu
+from insdvl_replay.replay import Replay
+from insdvl_replay.results.folder import MAPS, REFERENCE_TRAJECTORY, trajectory_file
+from insdvl_replay.results.frames import history_frame, reference_frame
+from insdvl_replay.show.paper import LOOKS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TUM: Final = "tum"
+_DIGITS, _HEIGHT_DIGITS = 9, 3  # of a degree, which is 0.1 mm, and of a metre
+
+
+def save_tracks(replay: Replay, folder: Path, formats: Sequence[str]) -> None:
+    """Write the tracks of all filters, and of the reference inside the replay, if its positions are known."""
+    if TUM in formats:
+        _save_tum(replay, folder)
+    if maps := [format_ for format_ in formats if format_ in MAPS]:
+        frames = {history.filter: history_frame(history) for history in replay.histories}
+        origin = replay.histories[0].position[0]
+        reference = reference_frame(replay.dive.reference, replay.start_ns, replay.end_ns, origin)
+        for format_ in maps:
+            (folder / MAPS[format_]).write_bytes(map_of_tracks(format_, replay.dive.name, frames, reference))
+
+
+# --- TUM.
+
+
+def _save_tum(replay: Replay, folder: Path) -> None:
+    """Write a file for each trajectory. All count from where the baseline starts, and all are of the IMU."""
+    origin = replay.histories[0].position[0]
+    for history in replay.histories:
+        text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
+        (folder / trajectory_file(history.filter)).write_bytes(text)
+    if replay.dive.reference is not None:
+        inside = replay.dive.reference.within(replay.start_ns, replay.end_ns)
+        if text := tum_trajectory(inside.time_ns, inside.position, inside.mat_nb, origin):
+            (folder / REFERENCE_TRAJECTORY).write_bytes(text)
+
+
+def tum_trajectory(
+    time_ns: TimeNs,  # (k,)
+    position: Floats,  # (k, 3): latitude rad, longitude rad, height m
+    mat_nb: Floats,  # (k, 3, 3); NaN where no attitude is known
+    origin: Floats,  # (3,): from which east, north and up are counted
+) -> bytes:
+    """Write a trajectory as TUM: times to the nanosecond; forward-port-up to east-north-up.
+
+    The format knows no missing positions: times without one have no line. A missing attitude is NaN, which evo takes
+    where it compares positions.
+    """
+    known = np.isfinite(position).all(axis=1)
+    columns = np.hstack([east_north_up_m(position[known], origin), quat_enu_flu(mat_nb[known])])
+    lines = []
+    for time, row in zip(time_ns[known].tolist(), columns.tolist(), strict=True):
+        second, nanosecond = divmod(time, NS_PER_S)
+        lines.append(f"{second}.{nanosecond:09d} {' '.join(f'{number:.9g}' for number in row)}\n")
+    return "".join(lines).encode()
+
+
+# --- Maps: longitude before latitude in degrees of WGS 84, and the height above its ellipsoid.
+
+
+def map_of_tracks(format_: str, dive: str, frames: Mapping[str, "pd.DataFrame"], reference: "pd.DataFrame") -> bytes:
+    """Write tracks as lines, by name, from frames of histories and of the reference."""
+    named = [*((name, "filter", frame) for name, frame in frames.items()), (REFERENCE, REFERENCE, reference)]
+    lines = [(name, kind, line) for name, kind, frame in named if len(line := _positions(frame)) > 1]
+    return _geojson(dive, lines) if format_ == "geojson" else _kml(dive, lines)
+
+
+def _positions(frame: "pd.DataFrame") -> list[list[float]]:
+    """Return the known positions of a line, without heights if one is missing."""
+    known = frame[["longitude_deg", "latitude_deg", "height_m"]].to_numpy()
+    known = known[np.isfinite(known[:, :2]).all(axis=1)]
+    places = [*np.round(known[:, :2], _DIGITS).T, np.round(known[:, 2], _HEIGHT_DIGITS)]
+    line: list[list[float]] = np.column_stack(places if np.isfinite(known[:, 2]).all() else places[:2]).tolist()
+    return line
+
+
+_Lines = Sequence[tuple[str, str, list[list[float]]]]
+
+
+def _geojson(dive: str, lines: _Lines) -> bytes:
+    """Write a FeatureCollection of RFC 7946."""
+    features: list[dict[str, Any]] = [
+        {
+            "type": "Feature",
+            "properties": {"name": name, "kind": kind, "dive": dive},
+            "geometry": {"type": "LineString", "coordinates": line},
+        }
+        for name, kind, line in lines
+    ]
+    return json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False).encode() + b"\n"
+
+
+def _kml(dive: str, lines: _Lines) -> bytes:
+    """Write a document of KML 2.2; programs draw its lines at the surface, so that water does not hide them."""
+    places = []
+    for number, (name, kind, line) in enumerate(lines):
+        red, green, blue = (
+            LOOKS[filter_style(number) if kind != REFERENCE else REFERENCE]["color"][i : i + 2] for i in (1, 3, 5)
+        )
+        coordinates = " ".join(
+            ",".join(f"{value:.{_DIGITS}f}".rstrip("0").rstrip(".") for value in place) for place in line
+        )
+        places.append(
+            f"<Placemark><name>{escape(visible(name))}</name><Style><LineStyle><color>ff{blue}{green}{red}</color>"
+            "<width>2</width></LineStyle></Style><LineString><tessellate>1</tessellate>"
+            f"<coordinates>{coordinates}</coordinates></LineString></Placemark>\n"
+        )
+    head = '<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"><Document>\n'
+    return f"{head}<name>{escape(visible(dive))}</name>\n{''.join(places)}</Document></kml>\n".encode()

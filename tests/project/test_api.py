@@ -1,0 +1,92 @@
+"""A function for every command: what it returns has tables as data frames, a screen, and can be saved."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import insdvl_replay
+from insdvl_replay import CommandResult, load_config, read_results, replay_log
+from insdvl_replay.core.errors import UserError
+
+ARCHIVE = Path(__file__).resolve().parents[2] / "examples" / "archive"
+FAST = load_config(settings={"evaluation.starts": 1})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results of two dives."""
+    place = tmp_path_factory.mktemp("api")
+    for name in ("transit", "outage"):
+        replay_log(ARCHIVE / "dives" / f"{name}.mcap", FAST).save(place / name)
+    return place
+
+
+def is_whole(result: CommandResult, tables: set[str], place: Path) -> None:
+    """Check what every result can do."""
+    assert set(result.tables) == tables
+    assert all(isinstance(frame, pd.DataFrame) for frame in result.tables.values())
+    assert len(str(result).splitlines()) > 2
+    assert result._repr_html_().startswith("<div>")
+    saved = result.save(place)
+    assert {"report.html", "report.json", *(f"{name}.csv" for name in tables)} <= {
+        path.name for path in saved.iterdir()
+    }
+    with pytest.raises(UserError, match="exists"):
+        result.save(place)
+    with pytest.raises(UserError, match="'nowhere'"):
+        _ = result.tables["nowhere"]
+
+
+def test_inspect(tmp_path: Path) -> None:
+    found = insdvl_replay.inspect(ARCHIVE / "dives" / "transit.mcap", deep=True)
+    is_whole(found, {"file", "topics", "roles", "clocks", "pings", "reference"}, tmp_path / "saved")
+    assert set(found.tables["roles"]["role"]) >= {"imu", "dvl", "reference"}
+
+
+def test_propose_and_calibrate_find_settings(tmp_path: Path) -> None:
+    log = insdvl_replay.simulate("calibration", tmp_path / "dive.mcap", duration_s=60.0, lever_arm_m=(0.5, 0.0, 0.0))
+    with pytest.raises(UserError, match="exists"):
+        insdvl_replay.simulate("static", log)
+    proposed = insdvl_replay.propose(log)
+    is_whole(proposed, {"settings", "blockers"}, tmp_path / "proposed")
+    load_config(tmp_path / "proposed" / "proposed.toml")
+    found = insdvl_replay.calibrate([log], load_config(), only=["arm"])
+    is_whole(found, {"parameters", "noise", "dives"}, tmp_path / "calibrated")
+    (tmp_path / "found.toml").write_text(found.settings)
+    arm = load_config(tmp_path / "found.toml").dvl.lever_arm_m
+    assert arm[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_compare_and_check(folder: Path, tmp_path: Path) -> None:
+    changed = insdvl_replay.compare(folder / "transit", folder / "transit")
+    is_whole(changed, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared")
+    assert changed.tables["dive"]["log"].tolist() == ["transit"]
+    gates = tmp_path / "gates.toml"
+    gates.write_text(
+        '[[gate]]\nname = "fast"\ntable = "outage"\ncolumn = "drift_median_m"\nmax = 1e9\n'
+        '[[gate]]\nname = "good"\ntable = "drift"\ncolumn = "rms"\nmax = 0\n'
+    )
+    checked = insdvl_replay.check(gates, folder)
+    is_whole(checked, {"gates"}, tmp_path / "checked")
+    assert set(checked.tables["gates"]["gate"]) == {"fast", "good"}
+    assert set(checked.tables["gates"].query("gate == 'good'")["status"]) == {"failed"}
+    again = insdvl_replay.check(gates, ARCHIVE / "dives" / "transit.mcap", FAST, results=tmp_path / "results")
+    assert set(again.tables["gates"]["dive"]) == {"transit"}
+
+
+def test_many_dives_have_pooled_evidence(folder: Path, tmp_path: Path) -> None:
+    results = read_results(folder)
+    assert list(results.dives) == ["outage", "transit"]
+    assert results.words == {"aided": "undecided"}
+    tables = results.tables
+    assert set(tables["evidence"]["log"]) == {"outage", "transit"}
+    assert len(tables["evidence"]) == sum(len(dive.tables["evidence"]) for dive in results.dives.values())
+    assert (tables["pooled"]["log"] == "*").all()
+    assert tables["summary"]["log"].tolist() == ["outage", "transit"]
+    assert results.dives["transit"].reference["position_n_m"].notna().all()
+    assert "transit" in str(results)
+    assert results._repr_html_().count("<td>") > 20
+    is_whole(results, set(tables), tmp_path / "all")
+    with pytest.raises(UserError, match="holds only results of studies"):
+        read_results(tmp_path)
