@@ -312,7 +312,7 @@ def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str]) -> Iterator[str]:
     """Draw the bands, the first of them filled, and the lines above all of them."""
     paths = len(panel.curves) + sum(curve.band is not None for curve in panel.curves)
-    columns = COLUMNS * _FEW // max(paths, _FEW)
+    columns, step = COLUMNS * _FEW // max(paths, _FEW), _PIXEL * max(paths / _FEW, 1.0)
     bands: list[str] = []
     lines: list[str] = []
     for curve in panel.curves:
@@ -322,7 +322,7 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
             rows = _one_of_each_cell(*places)
             path = "".join(f"M{across:.0f} {down:.0f}h0" for across, down in zip(x[rows], y[rows], strict=True))
         else:
-            rows = without_standstill(*places, _PIXEL) if panel.equal else envelope(x, y, columns)
+            rows = without_standstill(*places, step) if panel.equal else envelope(x, y, columns)
             path = _line(x[rows], y[rows])
         name = curve.name if curve.name is not None else curve.label or _name_of(curve.style, names)
         at = ""
