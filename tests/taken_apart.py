@@ -37,7 +37,8 @@ class Document(HTMLParser):
 
 
 def forest_rows(document: Document) -> list[tuple[str, list[str]]]:
-    """The rows of all forest plots: their text, and their classes, of which the first is the verdict."""
+    """The rows of all forest plots: their texts, and their classes."""
     classes = [attributes.get("class", "").split() for tag, attributes in document.elements if tag == "g"]
-    verdicts = {"better", "worse", "equivalent", "undecided", "not-evaluated"}
-    return [row for row in zip(document.texts.get("g", []), classes, strict=True) if verdicts & set(row[1])]
+    rows = [row for row in zip(document.texts["g"], classes, strict=True) if "row" in row[1]]
+    titles = document.texts["title"][1:]
+    return [(text.removeprefix(title), names) for (text, names), title in zip(rows, titles, strict=True)]

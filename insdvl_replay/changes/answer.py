@@ -297,7 +297,7 @@ def _sentence_of(answer: Answer) -> str:
     if answer.is_same or answer.dives == 1 or answer.verdict == Verdict.NOT_EVALUATED:
         return f"{_said(answer)}."
     lost = f" No longer evaluated in {answer.lost} of {counted(answer.dives, 'dive')}." if answer.lost else ""
-    return f"{sentence_of_evidence(answer.verdict, answer.rows, DECIDING_TOGETHER)}{lost}"
+    return f"{sentence_of_evidence(answer.verdict, answer.rows)}{lost}"
 
 
 def _plots(answer: Answer) -> Iterator[str]:

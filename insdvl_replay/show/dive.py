@@ -1,6 +1,6 @@
 """What people see of one dive: its screen on a terminal, its tables in every format, its page."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol, TypeVar
 
 from msgspec import Struct
@@ -105,10 +105,14 @@ def interval_text(row: Piece) -> str:
     return MISSING if low is None or high is None else f"{ratio_text(low)} .. {ratio_text(high)}"
 
 
+def deciding_quantities(rows: Sequence[Piece]) -> Collection[str]:
+    """Return the quantities that may decide, on one dive or over several."""
+    return DECIDING_TOGETHER if rows and isinstance(rows[0], PooledRow) else DECIDING
+
+
 def verdict_in_table(row: Piece) -> str:
     """Return the verdict of an evidence row, in brackets if it has no vote."""
-    deciding = DECIDING_TOGETHER if isinstance(row, PooledRow) else DECIDING
-    return row.verdict if row.quantity in deciding or not row.verdict else f"({row.verdict})"
+    return row.verdict if row.quantity in deciding_quantities([row]) or not row.verdict else f"({row.verdict})"
 
 
 def reason_in_words(row: Piece) -> str:

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from msgspec import Struct
 from msgspec.structs import astuple
 
-from insdvl_replay.core.quantities import DECIDING_TOGETHER, is_whole, label
+from insdvl_replay.core.quantities import is_whole, label
 from insdvl_replay.core.result import (
     PAGE,
     PRINTED,
@@ -38,7 +38,7 @@ from insdvl_replay.show.dive import (
     replay_result,
 )
 from insdvl_replay.show.dive_page import dive_section
-from insdvl_replay.show.document import MISSING, number, percent, rows_csv, shown
+from insdvl_replay.show.document import MISSING, counted, number, percent, rows_csv, shown
 from insdvl_replay.show.first_screen import (
     DIVE_PAGE,
     dives_forest,
@@ -84,6 +84,15 @@ def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
             predicted_pct = [report.filters[name].mean_improvement_pct for report in evaluated]
             found.append(pooled_candidate(name, baselines, rows, len(having), predicted_pct))
     return found
+
+
+def pooled_prediction_line(pooled: PooledCandidate) -> str:
+    """State the predicted improvement over several dives, and whether it is confirmed."""
+    pct, confirmed = pooled.predicted_pct, f" {pooled.confirmation}." if pooled.confirmation else ""
+    if math.isnan(pct):
+        return "predicted: unknown."
+    size = "smaller" if pct >= 0.0 else "larger"
+    return f"predicted: {percent(abs(pct))} {size} sigma, median of {counted(pooled.evaluated, 'dive')}.{confirmed}"
 
 
 # --- For scripts: a summary, and the pooled evidence.
@@ -228,9 +237,7 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
         sections.append(dive_section(report, name, f"Evidence on {report.log.name} alone"))
     evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
     drawn = over_starts(max((row.starts for row in evidence), default=0))
-    caption = (
-        f"All dives: each is one sample. Predicted: median of the dives.{f' Dive by dive: {drawn}.' if drawn else ''}"
-    )
+    caption = f"All dives: each is one sample.{f' Dive by dive: {drawn}.' if drawn else ''}"
     yield Only(PAGE, (first_screen(sections, caption),) if sections else tuple(callouts))
 
 
@@ -252,19 +259,11 @@ def _section(pooled: PooledCandidate, reports: Sequence[Report], *, linked: bool
     if pooled.verdict == Verdict.NOT_EVALUATED:
         said = f"Evaluated on only {pooled.evaluated} of {pooled.dives} dives. Settle the others first."
         return section(pooled.verdict, pooled.name, pooled.baseline, [said, counts], [dives])
-    said = sentence_of_evidence(pooled.verdict, pooled.rows, DECIDING_TOGETHER)
-    sentences = [said, *_prediction(pooled), counts]
+    said = sentence_of_evidence(pooled.verdict, pooled.rows)
+    sentences = [said, pooled_prediction_line(pooled), counts]
     title = f"All dives, {pooled.evaluated} of {pooled.dives}" if pooled.evaluated < pooled.dives else "All dives"
     plots = [evidence_forest(title, pooled.verdict, pooled.rows, _MOST_ROWS), dives]
     return section(pooled.verdict, pooled.name, pooled.baseline, sentences, plots)
-
-
-def _prediction(pooled: PooledCandidate) -> Iterator[str]:
-    """Say how much smaller the predicted sigma is, median over the dives, and whether this is confirmed."""
-    size = "smaller" if pooled.predicted_pct >= 0.0 else "larger"
-    if math.isfinite(pooled.predicted_pct):
-        confirmed = f" {pooled.confirmation}." if pooled.confirmation else ""
-        yield f"predicted: {percent(abs(pooled.predicted_pct))} {size} sigma.{confirmed}"
 
 
 MEANS: Final = (

@@ -1,13 +1,13 @@
 """The first screen of a page: for each candidate its verdict, what decided, and the evidence as forest plots."""
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Final
 from urllib.parse import quote
 
 from insdvl_replay.core.errors import visible_lines
-from insdvl_replay.core.quantities import CONSISTENT, DECIDING, DECIDING_TOGETHER, label
+from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, label
 from insdvl_replay.core.result import DisplayTable, Html, Report
 from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.core.words import EvidenceVerdict, Verdict
@@ -22,7 +22,7 @@ from insdvl_replay.evaluation.verdicts import (
     spoken_of,
     would_settle,
 )
-from insdvl_replay.show.dive import chosen_rows, ratio_text, reason_in_words, verdict_in_table
+from insdvl_replay.show.dive import chosen_rows, deciding_quantities, ratio_text, reason_in_words, verdict_in_table
 from insdvl_replay.show.document import counted, significant
 from insdvl_replay.show.forest import ForestRow, forest, tone_class, unbroken
 from insdvl_replay.show.page import table_html
@@ -69,9 +69,9 @@ def _stressed(sentence: str) -> str:
     return text.replace(word, f"<b>{word}</b>", 1) if word else text
 
 
-def sentence_of_evidence(verdict: Verdict, rows: Sequence[Piece], deciding: Collection[str] = DECIDING) -> str:
+def sentence_of_evidence(verdict: Verdict, rows: Sequence[Piece]) -> str:
     """Say what decided: the change, and its interval or why it has none; then what would decide."""
-    pieces: list[str] = []
+    pieces, deciding = list[str](), deciding_quantities(rows)
     for row in _known(spoken_of(verdict, rows, deciding)):
         piece = changed(row.quantity, finite(row.ratio))
         if isinstance(row, PooledRow) and row.verdict != EvidenceVerdict.EQUIVALENT:
@@ -98,7 +98,7 @@ def _reason(row: Piece) -> str:
 
 def evidence_forest(title: str, verdict: Verdict, rows: Sequence[Piece], most: int) -> str:
     """Draw evidence rows: those that decided, the first of each kind, then others."""
-    deciding = DECIDING_TOGETHER if rows and isinstance(rows[0], PooledRow) else DECIDING
+    deciding = deciding_quantities(rows)
     named = spoken_of(verdict, rows, deciding)
     # Innovations have no vote, and the track of one dive is one sample.
     known = [row for row in _known(rows) if row.evidence != CONSISTENT]

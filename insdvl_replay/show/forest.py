@@ -50,7 +50,7 @@ class ForestRow:
 def forest(title: str, rows: Sequence[ForestRow]) -> str:
     """Draw ratios, a row each, with footnotes; as HTML."""
     reasons = list(dict.fromkeys(row.why for row in rows if row.why))
-    notes = ". ".join(f"{_raised(number)} {unbroken(why)}" for number, why in enumerate(reasons, 1))
+    notes = ". ".join(f"{_raised(number)}&nbsp;{unbroken(why)}" for number, why in enumerate(reasons, 1))
     footnote = f'<p class="footnote">{notes}.</p>' if notes else ""
     return f'<section class="forest"><h3>{escape(title)}</h3>{forest_svg(rows, reasons)}{footnote}</section>'
 
@@ -71,7 +71,8 @@ def forest_svg(rows: Sequence[ForestRow], reasons: Sequence[str] = ()) -> str:
     for number, row in enumerate(rows):
         middle = TOP + ROW * number + ROW / 2.0
         mark = f" {_raised(reasons.index(row.why) + 1)}" if row.why in reasons else ""
-        lines.append(f'<g class="{tone_class(row.tone)}{" decides" if row.decides else ""}">')
+        style = f"row {tone_class(row.tone)}{' decides' if row.decides else ''}".rstrip()
+        lines.append(f'<g class="{style}"><title>{_in_full(row)}</title>')
         lines += [*_label(row, middle), *_mark(row, middle, end)]
         lines.append(f'<text x="{TEXT}%" y="{middle + _BASELINE}">{escape(visible(row.text))}{mark}</text></g>')
     return "".join([*lines, "</svg>"])
@@ -99,13 +100,17 @@ def tone_class(verdict: str) -> str:
     return verdict.replace(" ", "-")
 
 
+def _in_full(row: ForestRow) -> str:
+    """Return what is shown where the pointer rests: whole name, ratio, interval, verdict."""
+    ratio = "" if math.isnan(finite(row.ratio)) else f" {row.ratio:.3g}"
+    interval = "" if row.low is None or row.high is None else f" ({row.low:.3g} .. {row.high:.3g})"
+    return escape(visible(f"{row.label}{':' if ratio else ''}{ratio}{interval} {row.tone}".rstrip()))
+
+
 def _label(row: ForestRow, middle: float) -> Iterator[str]:
-    name = visible(row.label)
-    title, short = "", name
-    if len(name) > _LONGEST_LABEL:
-        half = _LONGEST_LABEL // 2
-        title, short = f"<title>{escape(name)}</title>", f"{name[: half - 1]}…{name[-half:]}"
-    text = f'<text x="{LABEL_END}%" y="{middle + _BASELINE}" text-anchor="end">{escape(short)}{title}</text>'
+    name, half = visible(row.label), _LONGEST_LABEL // 2
+    short = f"{name[: half - 1]}…{name[-half:]}" if len(name) > _LONGEST_LABEL else name
+    text = f'<text x="{LABEL_END}%" y="{middle + _BASELINE}" text-anchor="end">{escape(short)}</text>'
     yield f'<a href="{escape(row.link)}">{text}</a>' if row.link else text
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from insdvl_replay.core.errors import counted, natural_key
-from insdvl_replay.core.quantities import CONSISTENT, DECIDING, DECIDING_TOGETHER, is_beam, label
+from insdvl_replay.core.quantities import CONSISTENT, is_beam, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Severity, Verdict
@@ -25,6 +25,7 @@ from insdvl_replay.show.dive import (
     NO_REFERENCE,
     TONES,
     chosen_rows,
+    deciding_quantities,
     has_reference,
     headline_table,
     interval_text,
@@ -38,7 +39,14 @@ from insdvl_replay.show.dive import (
     track_fit_line,
     verdict_in_table,
 )
-from insdvl_replay.show.dives import Failure, Outcome, failed_count, pooled_candidates, reports_of
+from insdvl_replay.show.dives import (
+    Failure,
+    Outcome,
+    failed_count,
+    pooled_candidates,
+    pooled_prediction_line,
+    reports_of,
+)
 from insdvl_replay.show.document import MISSING, Column, decimal, percent, significant, table_of
 
 # --- The answer for one candidate, on one dive or on several.
@@ -61,7 +69,7 @@ class Answer:
     @property
     def deciding(self) -> Collection[str]:
         """The quantities that may decide."""
-        return DECIDING_TOGETHER if self.rows and isinstance(self.rows[0], PooledRow) else DECIDING
+        return deciding_quantities(self.rows)
 
     @property
     def spoken(self) -> list[Piece]:
@@ -109,9 +117,7 @@ def _dive_answer(report: Report, name: str) -> Answer:
 
 
 def _pooled_answer(pooled: PooledCandidate) -> Answer:
-    pct, dives = pooled.predicted_pct, counted(pooled.evaluated, "dive")
-    size = "smaller" if not pct < 0.0 else "larger"
-    confirmed = f" {pooled.confirmation}." if pooled.confirmation else ""
+    dives = counted(pooled.evaluated, "dive")
     return Answer(
         pooled.name,
         pooled.baseline,
@@ -119,9 +125,9 @@ def _pooled_answer(pooled: PooledCandidate) -> Answer:
         [row for row in pooled.rows if row.dives],
         dives if pooled.evaluated == pooled.dives else f"{pooled.evaluated} of {counted(pooled.dives, 'dive')}",
         f"it is evaluated on {pooled.evaluated} of {counted(pooled.dives, 'dive')}",
-        pct,
+        pooled.predicted_pct,
         pooled.prediction,
-        f"predicted: {percent(abs(pct))} {size} sigma, median of {dives}.{confirmed}",
+        pooled_prediction_line(pooled),
     )
 
 

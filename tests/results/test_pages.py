@@ -80,7 +80,7 @@ def test_index_of_two_dives_draws_no_interval_and_says_why() -> None:
     document = Document(index_page(dives_of_ratios(0.9, 0.7)).decode())
     (pooled, _), *dives = forest_rows(document)
     assert pooled == "drift in 30 s0.79 undecided 2/2 ¹"
-    assert "¹ fewer than 3 dives." in document.texts["p"]
+    assert "¹\N{NO-BREAK SPACE}fewer than 3 dives." in document.texts["p"]
     assert document.count("line", "interval") == len(dives) == 2
 
 

@@ -61,11 +61,18 @@ def test_what_is_missing_is_not_drawn_and_rows_share_a_footnote() -> None:
     assert "All &lt;dives&gt;" in text
 
 
+def test_a_row_names_its_verdict_and_numbers_where_the_pointer_rests() -> None:
+    svg = forest_svg([ForestRow("one <&>", 0.8512, 0.7, 0.9, "better"), ForestRow("two", None, tone="not evaluated")])
+    assert re.findall("<title>(.*?)</title>", svg) == [
+        "one &lt;&amp;&gt;: 0.851 (0.7 .. 0.9) better", "two not evaluated"
+    ]  # fmt: skip
+
+
 def test_a_long_name_is_shortened_in_the_middle_and_its_link_is_whole() -> None:
     name = "rosbag2_2024_05_03-12_30_11"
     svg = forest_svg([ForestRow(name, 1.0, link=f"{name}/report.html")])
     assert f'<a href="{name}/report.html">' in svg
-    assert f"<title>{name}</title>" in svg
+    assert f"<title>{name}: 1</title>" in svg
     assert ">rosbag2_2…3-12_30_11<" in svg
 
 
