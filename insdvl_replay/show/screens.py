@@ -131,13 +131,19 @@ def _pooled_answer(pooled: PooledCandidate) -> Answer:
     )
 
 
+def _answers(outcomes: Sequence[Outcome]) -> list[Answer]:
+    """Return the answer for each candidate: over all dives, or on the only dive that has it."""
+    reports, pooled = reports_of(outcomes), {found.name: found for found in pooled_candidates(outcomes)}
+    having = {name: report for report in reversed(reports) for name in report.filters}
+    names = dict.fromkeys(name for report in reports for name in report.filters)
+    return [_pooled_answer(pooled[name]) if name in pooled else _dive_answer(having[name], name) for name in names]
+
+
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """Return one line for each candidate, over all dives."""
-    reports, lines = reports_of(outcomes), []
-    pooled = {found.name: _pooled_answer(found) for found in pooled_candidates(outcomes)}
-    for name in dict.fromkeys(name for report in reports for name in report.filters):
-        answer = pooled.get(name) or _dive_answer(next(report for report in reports if name in report.filters), name)
-        start = f"{name} {shouted(answer.verdict)}"
+    lines = []
+    for answer in _answers(outcomes):
+        start = f"{answer.name} {shouted(answer.verdict)}"
         if answer.verdict == Verdict.NOT_EVALUATED:
             lines.append(f"{start} on {answer.where}: {answer.problem}")
         else:
@@ -327,13 +333,14 @@ FAILED: Final = GateStatus.FAILED
 
 def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
-    answers = [_pooled_answer(found) for found in pooled_candidates(outcomes)]
+    answers = _answers(outcomes)
+    pooled = [answer for answer in answers if answer.rows and isinstance(answer.rows[0], PooledRow)]
     return [
         Title(_facts_of_dives(outcomes)),
         *_answer_parts(answers),
-        *(part for table in _evidence_table(answers, "all dives", "over dives") for part in (Sentences(()), table)),
+        *(part for table in _evidence_table(pooled, "all dives", "over dives") for part in (Sentences(()), table)),
         Sentences(()),
-        _dives_table(outcomes, {answer.name: answer for answer in answers}),
+        _dives_table(outcomes, {answer.name: answer for answer in pooled}),
         *_verdict_counts(outcomes),
         Code(f"all tables: -v   page: {index}", ""),
     ]
@@ -385,13 +392,14 @@ def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, Answer]) -> 
     if len(names) == 1:
         [(name, quantity)] = quantities.items()
         unit = next((f" [{row.unit}]" for dive in found.values() for row in dive.values()), "")
+        footnotes.insert(1, "all dives: the median of the values" if name in answers else "")
         if any(row[3] != MISSING == row[4] for row in rows):
-            footnotes.insert(1, f"-: fewer than {FEWEST_SHOWN} effective samples")
+            footnotes.append(f"-: fewer than {FEWEST_SHOWN} effective samples")
         baselines = " or ".join(sorted({report.baseline for report in reports}))
         header = (label(quantity), f"{baselines}{unit}", f"{name}{unit}", "ratio", "on this dive", "", "")
-        end = len(header) if any(row[-1] for row in rows) else -1
+        end, folds = len(header) if any(row[-1] for row in rows) else -1, FOLDED * any(": " in row[5] for row in rows)
         cells, footnote = tuple(row[:end] for row in rows), "; ".join(filter(None, footnotes))
-        return DisplayTable("", header[:end], "lrrrrll"[:end], cells, footnote, spare=((1, 2), 4), folds=FOLDED)
+        return DisplayTable("", header[:end], "lrrrrll"[:end], cells, footnote, spare=((1, 2), 4), folds=folds)
     is_same = len(set(quantities.values())) == 1
     heads = [head for name in names for head in (name if is_same else f"{name}\n{label(quantities[name])}", "")] or [""]
     first = label(quantities[names[0]]) if is_same else "dive by dive"
