@@ -12,7 +12,7 @@ from insdvl_replay.changes.cells import cell_name
 from insdvl_replay.changes.gate_file import TRAJECTORY
 from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.result import Block, DisplayTable, Part, Result, Title, Tool, this_tool
+from insdvl_replay.core.result import Block, Callout, DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.words import GateStatus
 from insdvl_replay.show.document import MISSING, counted
 from insdvl_replay.show.render import render
@@ -58,22 +58,23 @@ def in_format(found: CheckResult, format_: str) -> str:
 
 def check_result(found: CheckResult) -> Result:
     """Return the outcome of the gates, with the gated values that differ from the expected ones."""
-    parts: list[Part] = [Title("Gates"), *_counts(found)[::-1]]
+    *others, counted_gates = _counts(found)
+    tone = "bad" if any(found.count(status) for status in _ERRORS) else "good"
+    parts: list[Part] = [Title("Gates"), Callout(counted_gates, tone), *others]
     for name, words in found.words.items():
-        parts.append(f"{name}: {', '.join(f'{count} {word}' for word, count in words.items())}")
+        parts.append(f"{name} against the baseline: {', '.join(f'{count} {word}' for word, count in words.items())}")
     if missed := _missed(found):
-        rows = tuple((WORDS[item.status][0], item.dive, item.gate, "; ".join(item.explained)) for item in missed)
+        rows = tuple((WORDS[item.status][0], item.dive, item.gate, item.explained) for item in missed)
         parts.append(DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows))
-    cells = [(item.dive, cell) for item in found.outcomes for cell in item.findings if cell.expected is not None]
+    cells = [(item.dive, cell) for item in found.outcomes for cell in item.findings if cell.passed]
     moved = [
-        (dive, cell.sentence, "" if cell.passed else "FAILED")
-        for dive, cell in cells
-        if len(set(_values(cell)[:2])) > 1
+        (dive, cell.sentence) for dive, cell in cells if cell.expected is not None and len(set(_values(cell)[:2])) > 1
     ]
     if moved:
-        moved.sort(key=lambda row: not row[-1])  # failures first
         more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
-        parts.append(DisplayTable("Expected and found", ("dive", "value", ""), "lll", tuple(moved[:MOST_MOVED]), more))
+        parts.append(
+            DisplayTable("Changed within the limits", ("dive", "value"), "ll", tuple(moved[:MOST_MOVED]), more)
+        )
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)

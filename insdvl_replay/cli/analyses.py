@@ -12,7 +12,7 @@ import typer
 
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
-from insdvl_replay.core.errors import LogError
+from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     from insdvl_replay.calibration.innovations import ReadDive
@@ -34,7 +34,7 @@ def inspect(
     config: opt.ConfigFiles = [],
     preset: opt.Preset = None,
     settings: opt.Settings = [],
-    format_: opt.PrintedAs = "table",
+    format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Do not count damage as a blocker; a note counts what is lost.")
     ] = False,
@@ -56,6 +56,7 @@ def inspect(
       insdvl-replay inspect dive.mcap
       insdvl-replay inspect dive.mcap --deep -c vehicle.toml
       insdvl-replay inspect dive.mcap --propose proposed.toml
+      insdvl-replay inspect dive.mcap --deep --format html > dive.html
       insdvl-replay inspect dives/*.mcap --format json
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
@@ -75,6 +76,8 @@ def inspect(
     resolved = given.without_code()
     found = find_dives(logs)
     dives = [found] if one_dive else [[dive] for dive in found]
+    if format_ == "html" and len(dives) > 1:
+        raise ConfigError(f"--format html: is a page of one dive, found {len(dives)}", "name one log")
     inventories: list[Inventory] = []
     inspected: list[Sequence[Path]] = []
     for dive in dives:

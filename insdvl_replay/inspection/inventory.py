@@ -210,7 +210,7 @@ def inspection_result(inventory: Inventory, arguments: str = "") -> Result:
             left.append(Remark(f"blocker with these settings too: {blocker.message}", hint))
         left = left or [Remark("nothing to decide")]
         proposal = (Sentences((_PROPOSAL,)), Code(inventory.configuration, "toml"), Sentences(tuple(left)))
-        parts.append(Only(("terminal", "markdown"), proposal))
+        parts.append(Only(("terminal", "markdown", "html"), proposal))
     return Result("inspection", log.name, tables=_blocks(inventory), document=parts, data=inventory)
 
 

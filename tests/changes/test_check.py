@@ -428,10 +428,13 @@ def test_the_summary_has_expected_and_found_values(team: Path) -> None:
     done = check(team, EXPECTED, "--set", "noise.accel_white_mps_rts=0.4", "--summary-file", "summary.md")
     assert done.returncode == 1
     text = (team / "summary.md").read_text("utf-8")
-    assert re.search(r"^aided: \d+ \w+", text, re.MULTILINE)
-    assert re.search(
-        r"\| transit \| aided accelerometer bias z sd \| [\d.]+ \| [\d.]+ mg \| \+[\d.]+ % \| FAILED \|", text
-    )
+    assert re.search(r"^aided against the baseline: \d+ \w+", text, re.MULTILINE)
+    sentence = r"aided accelerometer bias z sd [\d.]+ -> [\d.]+ mg \(\+[\d.]+ %, limit \+"
+    assert re.search(rf"\| FAILED \| transit \| no state becomes less certain \| .*{sentence}1 %\)", text)
+    wide = EXPECTED.replace("max_worse_pct = 1", "max_worse_pct = 1000")
+    done = check(team, wide, "--set", "noise.accel_white_mps_rts=0.4", "--format", "md")
+    assert done.returncode == 0
+    assert re.search(rf"\| transit \| {sentence}1000 %\) \|", done.stdout)
 
 
 def test_results_of_a_check_are_small_unless_histories_are_wanted(team: Path) -> None:

@@ -4,6 +4,7 @@ import csv
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -110,3 +111,13 @@ def test_the_first_lines_of_a_log_with_blockers_are_why_and_what_to_do(
         rf"{re.escape(log.name)} cannot be replayed as it is \(\d blockers?\): .*/nowhere.*", nowhere[0]
     )
     assert nowhere[1].startswith(("insdvl-replay inspect ", "To do: "))
+
+
+def test_a_page_starts_with_the_answer(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = printed(capsys, str(log), "--format", "html")
+    assert (
+        text.index("can be replayed") < text.index("insdvl-replay run ") < text.index("the only topic of a known type")
+    )
+    shutil.copy(log, tmp_path / "other.mcap")
+    assert run_command_line(["inspect", str(log), str(tmp_path / "other.mcap"), "--format", "html"]) == 2
+    assert capsys.readouterr().err.startswith("error: --format html: ")
