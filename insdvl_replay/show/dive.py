@@ -1,4 +1,4 @@
-"""What people see of one dive: its screen on a terminal, its tables in every format, its page."""
+"""What people see of one dive: its tables in every format, and what screens and pages have in common."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol, TypeVar

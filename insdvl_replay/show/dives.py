@@ -238,7 +238,7 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
     drawn = over_starts(max((row.starts for row in evidence), default=0))
     caption = f"All dives: each is one sample.{f' Dive by dive: {drawn}.' if drawn else ''}"
-    yield Only(PAGE, (first_screen(sections, caption),) if sections else tuple(callouts))
+    yield Only(PAGE, (first_screen(sections, caption),) if sections else ())
 
 
 def verdict_counts(name: str, reports: Sequence[Report]) -> str:
