@@ -6,7 +6,7 @@ change.
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
 from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, result_file, result_folder
 from insdvl_replay.results.stored_results import read_one_result, read_reports
 from insdvl_replay.show.document import header_and_rows
-from insdvl_replay.show.screens import dive_screen
+from insdvl_replay.show.screens import dive_screen, dives_screen
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -157,7 +157,7 @@ def read_results(folder: Text) -> "DiveResults":
     reports = [report for _, report in found]
     content = named_result(reports, [*(layout.name for layout in TABLES), *TOGETHER], ())
     dives = {os.path.relpath(file.parent, folder): DiveResult(report, file.parent) for file, report in found}
-    return DiveResults(replace(content, document=overview_parts(reports)), dives)
+    return DiveResults(replace(content, document=overview_parts(reports)), dives, Path(folder))
 
 
 def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any) -> Path:
@@ -360,7 +360,7 @@ def _frame(table: Any) -> "pd.DataFrame":
 
 
 class Result:
-    """What every function returns: ``tables`` are data frames, ``save`` writes a folder. A notebook shows it."""
+    """What every function returns: data frames in ``tables``, and ``save``. Notebooks and prompts show it."""
 
     def _screen(self) -> Sequence[Part]:
         raise NotImplementedError
@@ -377,17 +377,19 @@ class Result:
         console.print(for_terminal(self._screen()))
         return "\n".join(line.rstrip() for line in console.export_text().rstrip().split("\n"))
 
+    __repr__ = __str__
+
     def _repr_html_(self) -> str:
         from insdvl_replay.show.page import fragment
 
         return fragment(self._screen())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CommandResult(Result):
     """The result of `inspect`, `propose`, `calibrate`, `compare` or `check`, or of many dives."""
 
-    content: Content = field(repr=False)  # as data
+    content: Content  # as data
 
     @property
     def tables(self) -> dict[str, "pd.DataFrame"]:
@@ -413,13 +415,13 @@ class CommandResult(Result):
         return document(self.content)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DiveResult(Result):
     """The result of one dive. In a notebook it shows the verdict on each candidate and the evidence."""
 
     report: Report  # the complete result as data
     folder: Path | None = None  # the folder that it was read from
-    _replay: "Replay | None" = field(default=None, repr=False)
+    _replay: "Replay | None" = None
 
     @property
     def name(self) -> str:
@@ -533,16 +535,25 @@ class DiveResult(Result):
         return dive_screen(self.report, str(self.folder / PAGE) if self.folder else "not saved")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class DiveResults(CommandResult):
     """The results of several dives; table pooled is the pooled evidence, and summary has a row for each dive."""
 
     dives: dict[str, DiveResult]  # by folder, which has the name of the dive
+    folder: Path  # of all
 
     @property
     def words(self) -> dict[str, str]:
         """The verdict of all dives together on each candidate that at least two of them have."""
         from insdvl_replay.show.dives import pooled_candidates
 
-        pooled = pooled_candidates([dive.report for dive in self.dives.values()])
-        return {found.name: str(found.verdict) for found in pooled}
+        return {found.name: str(found.verdict) for found in pooled_candidates(self._reports)}
+
+    @property
+    def _reports(self) -> list[Report]:
+        return [dive.report for dive in self.dives.values()]
+
+    def _screen(self) -> Sequence[Part]:
+        from insdvl_replay.show.dives import INDEX
+
+        return dives_screen(self._reports, f"{self.folder}/{INDEX}")

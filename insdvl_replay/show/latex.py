@@ -12,7 +12,9 @@ from insdvl_replay.core.result import CellText, DisplayTable, Document
 from insdvl_replay.show.document import MISSING, cell_lines
 from insdvl_replay.show.text import flat, sentence_of
 
-_PACKAGES: Final = r"% needs \usepackage{booktabs,siunitx}"
+_PACKAGES: Final = r"% needs \usepackage{booktabs,graphicx,siunitx}"
+_AT_MOST_A_LINE: Final = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
+"""Makes a table smaller that is wider than the text."""
 _ESCAPES: Final = {
     "\\": r"\textbackslash{}",
     "^": r"\textasciicircum{}",
@@ -59,13 +61,14 @@ def _table(table: DisplayTable, about: str, labels: set[str]) -> str:
             rf"\caption{{{_text(caption)}}}",
             rf"\label{{tab:{_label(about, table.title, labels)}}}",
             r"\footnotesize\setlength{\tabcolsep}{3pt}",
+            _AT_MOST_A_LINE,
             rf"\begin{{tabular}}{{{''.join(formats)}}}",
             r"\toprule",
             head,
             r"\midrule",
             *body,
             r"\bottomrule",
-            r"\end{tabular}",
+            r"\end{tabular}}",
             *([rf"\par {_text(table.footnote)}"] if table.footnote else []),
             r"\end{table}",
         ]
