@@ -130,10 +130,11 @@ def _measured(report: StoredReport) -> _Values:
         if isinstance(value, int | float):
             found.setdefault(name, {}).setdefault(str(quantity), _Value(str(evidence), str(unit), float(value)))
 
-    filters = report.config.get("filters")
+    settings = report.config.get("filters")
+    filters = settings.items() if isinstance(settings, dict) else ()
     rows = [row for row in report.tables.get("evidence", []) if row.get("evidence") != CONSISTENT]
     # An onboard solution has a start of its own, and its rows other values of the baseline.
-    solutions = [name for name, own in filters.items() if own.get("solution")] if isinstance(filters, dict) else []
+    solutions = [name for name, own in filters if isinstance(own, dict) and own.get("solution")]
     rows.sort(key=lambda row: row["filter"] in solutions)
     for row in rows:
         for name, column in ((str(row["filter"]), "value"), (report.baseline, "baseline")):
@@ -162,9 +163,12 @@ def _rows(name: str, log: str, old: Mapping[str, _Value], new: Mapping[str, _Val
 
 
 def _size_of_change(row: EvidenceRow) -> float:
-    """Return the relative change of a value that decides."""
-    decides = row.quantity in DECIDING_TOGETHER and row.ratio is not None
-    return abs(finite(row.ratio) - 1.0) if decides else 0.0 if row.baseline == row.value else _NO_CHANGE / 2.0
+    """Return the relative change of a value that decides; of others only whether they changed."""
+    if row.baseline == row.value:
+        return 0.0
+    if row.quantity not in DECIDING_TOGETHER:
+        return _NO_CHANGE / 2.0
+    return math.inf if row.ratio is None else abs(row.ratio - 1.0)
 
 
 def _is_same(largest: float) -> str:
@@ -176,6 +180,8 @@ def _is_same(largest: float) -> str:
 
 def _on_one_dive(name: str, old: StoredResult, new: StoredResult) -> Iterator[PooledRow]:
     """Compare the errors of a filter over the time of one dive, if there is a reference."""
+    import numpy as np
+
     from insdvl_replay.evaluation.series import paired_ratio, verdict_of_interval
     from insdvl_replay.results.trajectory import read_trajectory
 
@@ -183,7 +189,8 @@ def _on_one_dive(name: str, old: StoredResult, new: StoredResult) -> Iterator[Po
     if before is None or after is None or not (name in before.names and name in after.names):
         return
     for quantity, (column, unit) in _OVER_TIME.items():
-        was_sq, now_sq = (side.of(name, column) ** 2 for side in (before, after))
+        with np.errstate(over="ignore"):  # of a filter that diverged
+            was_sq, now_sq = (side.of(name, column) ** 2 for side in (before, after))
         known = was_sq.shape == now_sq.shape and (was_sq + now_sq >= 0.0).any()
         if known:
             interval = paired_ratio(was_sq, now_sq)

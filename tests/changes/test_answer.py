@@ -70,6 +70,15 @@ def test_no_effect_or_one_below_1_percent_is_equivalent(size: float, dives: int,
     assert {answer.verdict for answer in found} == {"equivalent"}
 
 
+def test_an_error_from_zero_is_no_small_change(tmp_path: Path) -> None:
+    for side, error in (("old", 0.0), ("new", 5.0)):
+        made = result("dive", {"drift_30s": error})
+        made["config"]["filters"] = {"aided": 3}  # as a broken report may have it
+        write(tmp_path / side, made)
+    found = compare_results(tmp_path / "old", tmp_path / "new").answers
+    assert {answer.verdict for answer in found} == {"undecided"}
+
+
 def test_two_dives_decide_nothing_and_the_answer_says_how_many_do(tmp_path: Path) -> None:
     found = answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in (1.5, 1.6)])
     assert {answer.verdict for answer in found} == {"undecided"}
