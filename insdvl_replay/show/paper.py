@@ -216,7 +216,9 @@ def _plain_ticks(axis: "Axis", values: "Floats", *, is_log: bool, named: bool) -
     from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
     def plain(value: float, _place: int) -> str:
-        return np.format_float_positional(float(f"{value:.9g}"), trim="-").replace("-", "\N{MINUS SIGN}")
+        is_plain = value == 0.0 or 1e-6 < abs(value) < 1e7  # longer numbers cannot be read
+        text = np.format_float_positional(float(f"{value:.9g}"), trim="-") if is_plain else f"{value:g}"
+        return text.replace("-", "\N{MINUS SIGN}")
 
     if is_log:
         low, high = axis.get_view_interval()
