@@ -129,9 +129,9 @@ def reason_in_words(row: Piece) -> str:
     if low <= 1.0 <= high:
         return ""
     change = ("sooner" if is_time else "smaller") if row.ratio < 1.0 else "later" if is_time else "larger"
-    for margin in (MARGIN, SOONER) if is_time and not is_pooled else (MARGIN,):
-        if 1.0 / (1.0 + margin) < row.ratio < 1.0 + margin:
-            return f"{change}, but less than {100.0 * margin:.0f} %"
+    margin = SOONER if is_time and not is_pooled else MARGIN
+    if 1.0 / (1.0 + margin) < row.ratio < 1.0 + margin:
+        return f"{change}, but less than {100.0 * margin:.0f} %"
     if not finite(row.p) < LARGEST_P:
         return f"{change}, but maybe less than {100.0 * MARGIN:.0f} %"
     return "never settled on some dive" if is_pooled else f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"

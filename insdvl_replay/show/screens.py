@@ -16,6 +16,7 @@ from insdvl_replay.evaluation.verdicts import (
     NOTABLE_PCT,
     Piece,
     PooledCandidate,
+    consistency_of,
     reason_not_evaluated,
     spoken_of,
     trust_sentence,
@@ -206,10 +207,11 @@ def _answer_table(answers: Sequence[Answer]) -> DisplayTable:
             cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
         if answer.verdict != Verdict.NOT_EVALUATED:
             confirmed = prediction_word(answer.predicted_pct, answer.prediction)
-            predicted = (percent(answer.predicted_pct), confirmed)
+            pct = finite(answer.predicted_pct)
+            predicted = (f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", confirmed)
         rows.append((answer.name, shouted(answer.verdict), *cells, *predicted, answer.would_decide))
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
-    header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted", "", "")
+    header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted sigma", "", "")
     return DisplayTable("", header, "lllrrrll", tuple(rows), spare=(7, 4, 5, 6, 2))
 
 
@@ -223,7 +225,9 @@ def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts
         return
     footnote = over_starts(starts)
     if len(answers) > 1:
-        yield _side_by_side(evaluated, list(dict.fromkeys(row.quantity for row in rows)), title, footnote)
+        spoken = [row.quantity for answer in evaluated for row in answer.spoken]
+        quantities = list(dict.fromkeys([*spoken, *(row.quantity for row in rows)]))
+        yield _side_by_side(evaluated, quantities[: max(MOST_ROWS[len(answers)], len(set(spoken)))], title, footnote)
         return
     [answer] = answers
     is_pooled = isinstance(rows[0], PooledRow)
@@ -235,11 +239,16 @@ def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
         (interval, "r", interval_text),
         ("won", "r", lambda row: f"{row.dives_won}/{row.dives}") if is_pooled else ("n", "r", "effective_samples:0"),
-        ("p", "r", "p:significant" if is_pooled else lambda row: decimal(row.p, 3).removeprefix("0")),
+        ("p", "r", "p:significant" if is_pooled else _p_text),
         ("", "l", _verdict_with_reason),
     )
     folds = FOLDED * any(reason_in_words(row) for row in rows)
     yield table_of("", rows, columns, footnote, spare=(7, 6, (1, 2, 3), 5), folds=folds)
+
+
+def _p_text(row: Piece) -> str:
+    """Write the p of a row on one dive; that of a row without a vote decides nothing."""
+    return MISSING if verdict_in_table(row).startswith("(") else decimal(row.p, 3).removeprefix("0")
 
 
 def _side_by_side(answers: Sequence[Answer], quantities: Sequence[str], title: str, footnote: str) -> DisplayTable:
@@ -342,6 +351,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
         Sentences(()),
         _dives_table(outcomes, {answer.name: answer for answer in pooled}),
         *_verdict_counts(outcomes),
+        *_consistency_counts(reports_of(outcomes)),
         Code(f"all tables: -v   page: {index}", ""),
     ]
 
@@ -366,7 +376,20 @@ def _verdict_counts(outcomes: Sequence[Outcome]) -> Iterator[str]:
         words = Counter(report.filters[name].verdict for report in reports if name in report.filters)
         texts.append(f"{name} {', '.join(f'{count} {shouted(word)}' for word, count in words.most_common())}")
     if texts:
-        yield f"dive by dive: {'; '.join(texts)}"
+        yield f"dive by dive, by all evidence: {'; '.join(texts)}"
+
+
+def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
+    """Yield a line with the number of dives with each consistency of the innovations, for each filter."""
+    texts = []
+    for name in dict.fromkeys(name for report in reports for name in (report.baseline, *report.filters)):
+        tables = [report.tables.consistency for report in reports if name in (report.baseline, *report.filters)]
+        words = Counter(consistency_of(table, name) for table in tables)
+        texts.append(f"{name} {', '.join(f'{count} {word}' for word, count in words.most_common())}")
+    far_off = sum(is_noise_far_off(report.tables, report.baseline) for report in reports)
+    advice = f". The noise settings are far off on {counted(far_off, 'dive')}: try --control" if far_off else ""
+    if texts:
+        yield f"consistency (NIS): {'; '.join(texts)}{advice}"
 
 
 def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, Answer]) -> DisplayTable:
