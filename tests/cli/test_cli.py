@@ -37,7 +37,7 @@ DOCUMENTED = {
     ],
     "inspect": [
         "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
-        "--format <table|json|csv|md|latex>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose",
+        "--format <table|json|csv|md|latex|html>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose",
         "--color <auto|always|never>", "-h, --help",
     ],
     "calibrate": [
