@@ -10,7 +10,7 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.innovations import LABELS
-from insdvl_replay.calibration.rows import HeldOutRow, NoiseRow
+from insdvl_replay.calibration.rows import HeldOutRow
 from insdvl_replay.core.result import Callout
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
@@ -54,14 +54,13 @@ class Answer:
 def answer_of(found: Calibration) -> Answer:
     """Judge the geometry by the drift on held-out dives, and the noise by their NIS."""
     names = [LABELS[row.parameter] for row in found.estimated]
-    drifts_m, keeps_geometry = _pairs(found.held_out, "drift_before_m", "drift_after_m"), False
+    dives, before_m, after_m = _means(found.held_out, "drift_before_m", "drift_after_m")
+    keeps_geometry = bool(names) and after_m > (1.0 + NO_CHANGE) * before_m
     if not names:
         geometry = "Keep your settings: these dives have no manoeuvre that determines others."
-    elif drifts_m:
-        before_m, after_m = _means(drifts_m)
-        keeps_geometry = after_m > (1.0 + NO_CHANGE) * before_m
+    elif dives:
         what = "Keep your settings" if keeps_geometry else "Use the new settings"
-        geometry = f"{what}: on {_dives(drifts_m)} drift in 60 s without DVL {_change(before_m, after_m)} m."
+        geometry = f"{what}: on {dives} drift in 60 s without DVL {_change(before_m, after_m)} m."
     else:
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         untested = "The held-out dives have no window to test them" if found.held_out else "Test them: --hold-out 0.3"
@@ -71,36 +70,26 @@ def answer_of(found: Calibration) -> Answer:
 
     keeps_noise = False
     if found.proposes_noise:
-        nis = _pairs(found.held_out, "nis_per_dof_before", "nis_per_dof_noise")
-        changes = ", ".join(_noise_change(row) for row in found.noise_rows if row.is_proposed)
-        noise = f"Change the noise: {changes}."
-        if nis:
-            before, after = _means(nis)
+        dives, before, after = _means(found.held_out, "nis_per_dof_before", "nis_per_dof_noise")
+        changes = (f"{row.parameter} {_change(row.before, row.after)}" for row in found.noise_rows if row.is_proposed)
+        noise = f"Change the noise: {', '.join(changes)}."
+        if dives:
             keeps_noise = abs(math.log(after)) > abs(math.log(before))
-            change = f"NIS/dof on {_dives(nis)} {_change(before, after)}, expected 1"
-            noise = f"Keep your noise: {change}." if keeps_noise else f"Change the noise: {change}."
+            what = "Keep your noise" if keeps_noise else "Change the noise"
+            noise = f"{what}: NIS/dof on {dives} {_change(before, after)}, expected 1."
         lines.append(Callout(noise, "bad" if keeps_noise else "good"))
     return Answer(tuple(lines), keeps_geometry, keeps_noise)
 
 
-def _noise_change(row: NoiseRow) -> str:
-    return f"{row.parameter} {_change(row.before, row.after)}"
-
-
-def _pairs(rows: Sequence[HeldOutRow], before: str, after: str) -> list[tuple[float, float]]:
-    pairs = ((finite(getattr(row, before)), finite(getattr(row, after))) for row in rows)
-    return [pair for pair in pairs if pair[0] > 0.0 and pair[1] > 0.0]
-
-
-def _means(pairs: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Return geometric means: each dive counts the same."""
-    before, after = np.exp(np.log(pairs).mean(axis=0)).tolist()
-    return before, after
+def _means(rows: Sequence[HeldOutRow], before: str, after: str) -> tuple[str, float, float]:
+    """Count the dives that have both values, empty for none, and return geometric means: each dive counts the same."""
+    pairs = [(finite(getattr(row, before)), finite(getattr(row, after))) for row in rows]
+    pairs = [pair for pair in pairs if pair[0] > 0.0 and pair[1] > 0.0]
+    if not pairs:
+        return "", math.nan, math.nan
+    old, new = np.exp(np.log(pairs).mean(axis=0)).tolist()
+    return counted(len(pairs), "held-out dive"), old, new
 
 
 def _change(before: float, after: float) -> str:
     return " -> ".join(numbers_apart(before, after))
-
-
-def _dives(pairs: Sequence[tuple[float, float]]) -> str:
-    return counted(len(pairs), "held-out dive")

@@ -1,1 +1,1 @@
-"""Changes between results, cell by cell (`cells`), over many dives (`comparison`), and checks by gates (`gates`)."""
+"""Changes between results: answers (`answer`), cells over many dives (`comparison`), and gates on cells (`gates`)."""
