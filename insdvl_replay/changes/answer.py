@@ -100,7 +100,10 @@ def answers_of(pairs: Pairs) -> tuple[Answer, ...]:
         evidence = [
             list(_rows(name, pairs[place][1].name, *(side[name] for side in values[place]))) for place in evaluated
         ]
-        largest = max((_size_of_change(row) for rows in evidence for row in rows), default=math.inf)
+        sizes = [_size_of_change(row) for rows in evidence for row in rows]
+        largest = max(
+            sizes, default=0.0 if all(old.report.tables == new.report.tables for old, new in pairs) else math.inf
+        )
         pooled = pooled_candidate(name, OLD, evidence, len(having))
         verdict, rows, sentence = pooled.verdict, pooled.rows, pooled_sentence(pooled)
         if largest == 0.0 or (largest < _NO_CHANGE and len(evaluated) < FEWEST):
@@ -124,7 +127,7 @@ def _dive_by_dive(answer: Answer, evidence: Sequence[Sequence[EvidenceRow]]) -> 
 
 def _measured(report: StoredReport) -> _Values:
     """Return the values of the evidence of each filter on a dive; of a filter alone, of its drift and outage tests."""
-    found: dict[str, dict[str, _Value]] = {report.baseline: {}}
+    found: dict[str, dict[str, _Value]] = {name: {} for name in (report.baseline, *report.filters)}
 
     def add(name: str, quantity: object, evidence: object, unit: object, value: object) -> None:
         if isinstance(value, int | float):

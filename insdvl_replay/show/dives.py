@@ -122,6 +122,8 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
         if isinstance(outcome, Failure):
             yield SummaryRow(outcome.log, status="failed", reason=outcome.reason)
             continue
+        if not outcome.filters:
+            yield SummaryRow(outcome.log.name)
         for name, candidate in outcome.filters.items():
             gains = (candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct)
             if candidate.verdict == Verdict.NOT_EVALUATED:
@@ -257,7 +259,7 @@ def _section(pooled: PooledCandidate, reports: Sequence[Report], *, linked: bool
     counts = f"Dive by dive: {verdict_counts(pooled.name, reports)}."
     dives = dives_forest(pooled, reports, linked=linked)
     if pooled.verdict == Verdict.NOT_EVALUATED:
-        said = f"Evaluated on only {pooled.evaluated} of {pooled.dives} dives. Settle the others first."
+        said = f"Evaluated on {pooled.evaluated} of {pooled.dives} dives. Settle the reasons of the others first."
         return section(pooled.verdict, pooled.name, pooled.baseline, [said, counts], [dives])
     said = sentence_of_evidence(pooled.verdict, pooled.rows)
     sentences = [said, pooled_prediction_line(pooled), counts]
@@ -289,6 +291,9 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
             links.append("")
             continue
         warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
+        if not outcome.filters:
+            rows.append((outcome.log.name, outcome.baseline, *[MISSING] * 9, str(warnings), ""))
+            links.append(f"{quote(outcome.log.name)}/{DIVE_PAGE}")
         for name, candidate in outcome.filters.items():
             positions = map(number, _position_rmse(outcome, name, "position_h"))
             consistency_words = (candidate.consistency, str(warnings), "")

@@ -125,7 +125,7 @@ def _pooled_answer(pooled: PooledCandidate) -> Answer:
         pooled.verdict,
         [row for row in pooled.rows if row.dives],
         dives if pooled.evaluated == pooled.dives else f"{pooled.evaluated} of {counted(pooled.dives, 'dive')}",
-        f"it is evaluated on {pooled.evaluated} of {counted(pooled.dives, 'dive')}",
+        "too few dives are evaluated",
         pooled.predicted_pct,
         pooled.prediction,
         pooled_prediction_line(pooled),
@@ -212,7 +212,7 @@ def _answer_table(answers: Sequence[Answer]) -> DisplayTable:
         rows.append((answer.name, shouted(answer.verdict), *cells, *predicted, answer.would_decide))
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
     header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted sigma", "", "")
-    return DisplayTable("", header, "lllrrrll", tuple(rows), spare=(7, 4, 5, 6, 2))
+    return DisplayTable("", header, "lllrrrll", tuple(rows), spare=(7, 4, 5, 6, (2, 3)))
 
 
 def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts: int = 0) -> Iterator[DisplayTable]:
@@ -440,7 +440,7 @@ def _dive_cells(outcome: Outcome, names: Sequence[str], rows: Mapping[str, Evide
     if isinstance(outcome, Failure):
         failed = [*[MISSING] * 4, FAILED, ""] if len(names) == 1 else [MISSING, FAILED] * len(names) or [FAILED]
         return (outcome.log, *failed)
-    cells = [outcome.log.name]
+    cells = [outcome.log.name, *([] if names else [MISSING])]
     for name in names:
         row = rows.get(name)
         texts, verdicts = [MISSING] * 4, _verdict_cells(outcome, name, row)

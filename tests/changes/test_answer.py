@@ -128,7 +128,7 @@ def test_one_dive_without_a_trajectory_is_undecided(tmp_path: Path) -> None:
 def test_one_filter_alone_is_compared_by_its_drift_and_outages(tmp_path: Path) -> None:
     for number, factor in enumerate(FACTORS):
         for side, size in (("old", 1.0), ("new", factor)):
-            made = content(f"d{number}")
+            made = content(f"d{number}") | {"filters": {}}
             made["tables"] = {
                 "drift": [{"log": "d", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "rms": size}],
                 "outage": [{"log": "d", "filter": "baseline", "window_s": "60", "drift_rms_m": size}],

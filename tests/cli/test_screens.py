@@ -27,7 +27,7 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Prediction, Verdict
 from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
-from insdvl_replay.show.dives import Failure
+from insdvl_replay.show.dives import Failure, index_page, summary_rows
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.show.text import for_terminal
 
@@ -275,6 +275,18 @@ def test_beams_are_counted_where_no_filter_takes_velocities() -> None:
     ):
         tables = replace(made.tables, consistency=used)
         assert said in rendered(list(dive_screen(replace(made, tables=tables), "report.html")))
+
+
+def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
+    made = [judged(f"dive {number}", Verdict.BETTER) for number in range(2)]
+    dives = [replace(dive, filters={}, tables=replace(dive.tables, evidence=[])) for dive in made]
+    lines = screen_lines(rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html"))))
+    assert [line.split() for line in lines if line.startswith(("dive 1", "gone"))] == [
+        ["dive", "1", "-"],
+        ["gone", "FAILED"],
+    ]
+    assert index_page(dives).count(b"report.html") == 2
+    assert [row.log for row in summary_rows(dives)] == ["dive 0", "dive 1"]
 
 
 def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
