@@ -216,7 +216,6 @@ def replay_into(job: ReplayJob) -> bytes:
     # Heavy, and often no dive is replayed.
     from insdvl_replay.replay import replay_log
     from insdvl_replay.results.result_files import save_histories, save_replay
-    from insdvl_replay.results.tracks import save_tracks
 
     run = replay_log
     if options.control:
@@ -231,7 +230,10 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
-        save_tracks(replay, folder, options.tracks)
+        if options.tracks:
+            from insdvl_replay.results.tracks import save_tracks
+
+            save_tracks(replay, folder, options.tracks)
         if options.history_format:
             save_histories(replay, folder, options.history_format)
         report = decode_report((folder / COMPLETE).read_bytes())

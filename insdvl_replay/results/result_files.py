@@ -23,7 +23,6 @@ from insdvl_replay.results.folder import (
     TRAJECTORY_FILE,
     history_file,
 )
-from insdvl_replay.results.frames import history_frame
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.show.dive import NO_REFERENCE, has_reference
 from insdvl_replay.show.dive_page import dive_page
@@ -117,6 +116,8 @@ def _log_lines(report: Report) -> Iterator[str]:
 
 def save_histories(replay: Replay, folder: Path, format_: str) -> None:
     """Write the whole history of each filter, as CSV with all digits, or as Parquet."""
+    from insdvl_replay.results.frames import history_frame
+
     for history in replay.histories:
         path, frame = folder / history_file(history.filter, format_), history_frame(history)
         if format_ == CSV:

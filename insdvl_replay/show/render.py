@@ -24,7 +24,6 @@ from insdvl_replay.core.result import (
     this_tool,
 )
 from insdvl_replay.show.document import blocks_csv, header_and_rows, notes_table, rows_csv, shown, table_csv
-from insdvl_replay.show.latex import as_latex
 from insdvl_replay.show.text import as_markdown, sentence_of
 
 
@@ -39,6 +38,8 @@ def render(result: Result, format_: str) -> str:
         case "md":
             return as_markdown(document(result))
         case "latex":
+            from insdvl_replay.show.latex import as_latex
+
             return as_latex(document(result), result.title if result.kind in ("replay", "inspection") else "")
         case "html":
             from insdvl_replay.show.page import page
