@@ -77,7 +77,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     ConfigError
         The settings do not fit the dive.
     """
-    # Prepare: span, start, and what each filter measures; then drawn starts and windows without the DVL.
+    # Prepare: span, start, and what each filter measures; then random starts and windows without the DVL.
     dive = with_reference_at_imu(dive, config)
     prepared = prepare_with_heading(dive, config)
     plan = plan_runs(dive, prepared, config)

@@ -277,7 +277,7 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
 
 
 def together(found: Findings) -> str:
-    """What the eight dives say together, measured from drawn starts and while the DVL is withheld."""
+    """What the eight dives say together, measured from random starts and while the DVL is withheld."""
     rows = []
     for name in ("windowed", "published"):
         evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in found.dives]

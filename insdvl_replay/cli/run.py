@@ -34,7 +34,7 @@ def run(
     starts: Annotated[
         int | None,
         typer.Option(
-            metavar="K", min=1, help="Number of drawn starts for each filter (default: evaluation.starts, 16)."
+            metavar="K", min=1, help="Number of random starts for each filter (default: evaluation.starts, 16)."
         ),
     ] = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",

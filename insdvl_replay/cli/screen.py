@@ -61,7 +61,7 @@ Plan = Mapping[str, float]
 """Stages of a work in their order, with the share of the work that is done when each begins."""
 REPLAY: Final[Plan] = {
     "reading the log": 0.0, "running the filters": 0.1, "DVL outage test": 0.13,
-    "running the filters from drawn starts": 0.16, "judging the filters": 0.6, "writing the results": 0.85,
+    "running the filters from random starts": 0.16, "judging the filters": 0.6, "writing the results": 0.85,
     "drawing the report": 0.92,
 }  # fmt: skip
 CALIBRATION: Final[Plan] = {

@@ -326,7 +326,7 @@ class EvidenceRow(Struct, frozen=True):
         Number,
         Col(
             "Values of the baseline and the candidate on this dive, from its own start: a root mean square, a final "
-            "error, or the time of convergence from drawn starts.",
+            "error, or the time of convergence from random starts.",
             head="{baseline}",
             better="lower",
         ),
@@ -335,7 +335,7 @@ class EvidenceRow(Struct, frozen=True):
     ratio: Annotated[
         Number,
         Col(
-            "Candidate over baseline, and its 95 % interval on this dive. Accuracy: over all drawn starts. Other "
+            "Candidate over baseline, and its 95 % interval on this dive. Accuracy: over all random starts. Other "
             "dives may differ by more.",
             head="ratio",
             form="ratio",
@@ -366,7 +366,7 @@ class EvidenceRow(Struct, frozen=True):
     p: Annotated[
         Number,
         Col(
-            "Probability of such data with a true difference of at most 5 %, by Student's t or by drawn starts. Below "
+            "Probability of such data with a true difference of at most 5 %, by Student's t or by random starts. Below "
             "0.01 the row decides.",
             head="p",
             form="4",

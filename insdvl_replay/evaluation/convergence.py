@@ -2,7 +2,7 @@
 
 Predicted improvement and convergence follow from P alone. Any further measurement shrinks P: they say how certain a
 filter is, never how right. P is read where a filter has just used a ping, since between pings it grows; the end of the
-dive is the last ping. Measured convergence is that of the rms of true errors over drawn starts; at
+dive is the last ping. Measured convergence is that of the rms of true errors over random starts; at
 each time it is over the last tenth of what has passed, so that ten seconds are seen as finely as an hour, and the end
 of the dive is its last tenth.
 """
@@ -151,7 +151,7 @@ def _status(reached_s: float) -> ConvergenceStatus:
 
 
 class ConvergenceCurves(NamedTuple):
-    """Errors of all filters from drawn starts in one quantity, at g times with growing steps."""
+    """Errors of all filters from random starts in one quantity, at g times with growing steps."""
 
     time_s: Floats  # (g,), after the start
     rms: Mapping[str, Floats]  # (g,) by filter, SI units: true errors over the starts, over the last part of the time
@@ -160,7 +160,7 @@ class ConvergenceCurves(NamedTuple):
 
 
 def convergence_curves(drawn: Sequence[DrawnErrors]) -> dict[str, ConvergenceCurves]:
-    """Return the rms of each filter's true errors over its drawn starts, without the dive's own, by quantity."""
+    """Return the rms of each filter's true errors over its random starts, without the dive's own, by quantity."""
     drawn, curves = [errors for errors in drawn if len(errors.error) >= FEWEST_RUNS], {}
     squares = [squared_errors(errors) for errors in drawn]
     as_predicted = [replace(errors, velocity_error_n=errors.sd[None, :, DV], error=errors.sd[None]) for errors in drawn]

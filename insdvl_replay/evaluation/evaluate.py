@@ -144,7 +144,7 @@ def _track(baseline: History, candidate: History, rows: Sequence[ReferenceErrorR
 
 
 def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], dive: Dive) -> tuple[DrawnErrors, ...]:
-    """Add the errors of histories that were not run from drawn starts, at the times of those that were."""
+    """Add the errors of histories that were not run from random starts, at the times of those that were."""
     if dive.reference is None:
         return ()
     known = {errors.filter for errors in drawn}
@@ -157,7 +157,7 @@ def with_solutions(drawn: Sequence[DrawnErrors], histories: Iterable[History], d
 
 
 class PositionCurve(NamedTuple):
-    """Horizontal position errors of one filter over time, over its drawn starts, or its own if there is no other."""
+    """Horizontal position errors of one filter over time, over its random starts, or its own if there is no other."""
 
     time_s: Floats  # (k,), after the start
     median_m: Floats  # (k,), middle, smallest and largest over the starts; NaN where none is known
@@ -171,7 +171,7 @@ class Curves:
     """The curves of the evidence on one dive."""
 
     outage: Mapping[str, OutageCurve]  # by filter; empty where the dive is too short
-    convergence: Mapping[str, ConvergenceCurves]  # by quantity; empty without a reference or drawn starts
+    convergence: Mapping[str, ConvergenceCurves]  # by quantity; empty without a reference or random starts
     position: Mapping[str, PositionCurve]  # by filter; empty without positions of a reference
 
 

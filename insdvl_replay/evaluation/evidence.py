@@ -3,7 +3,7 @@
 
 Both filters run on the same dive, so all errors are paired. *Accuracy* is against the reference, from the same drawn
 starts. *Outage* is the drift without the DVL. *Held_out* is the difference from sensors that no filter gets.
-*Convergence* is from drawn starts. *Track* is the error of the whole dive. *Consistency* compares NIS and NEES, and
+*Convergence* is from random starts. *Track* is the error of the whole dive. *Consistency* compares NIS and NEES, and
 never counts for better or worse. Positions are compared by their drift: the error itself is one number, which the
 heading at the start determines.
 """
@@ -62,7 +62,7 @@ SEGMENTS_S: Final = (30.0, 60.0)
 DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 # Quantities that a wrong heading changes only to second order.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
-OF_STARTS: Final = ("level", "heading")  # Quantities that need drawn starts.
+OF_STARTS: Final = ("level", "heading")  # Quantities that need random starts.
 # With fewer, level and heading are no evidence, since each start is one sample. Nor is a prediction confirmed: most of
 # it is the decay of errors of the start.
 FEWEST_STARTS: Final = 8
@@ -155,7 +155,7 @@ def accuracy_pair(
     """Square the errors of a filter, and of a run with its own start, at the times that both have.
 
     The reference must cover the filter's runs; the single run may be shorter. Level and heading are left out: the
-    filter's errors are from its drawn starts, and the single run has none.
+    filter's errors are from its random starts, and the single run has none.
     """
     before, after = (
         accuracy_errors(errors, reference, noise, bridged_gaps=bridged_gaps, covered=drawn)
@@ -257,7 +257,7 @@ def evidence_table(
         converged = measured.convergence.get(candidate, {})
         for quantity, name in CONVERGED.items():
             if (found := converged.get(name)) is not None:
-                # With other drawn starts the times may differ, so they are not equivalent either.
+                # With other random starts the times may differ, so they are not equivalent either.
                 interval, word = found.interval, verdict_of_interval(found.interval)
                 decisive = (interval.low, interval.high) if word == EvidenceVerdict.EQUIVALENT else (interval.ratio,)
                 near = all(1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER for ratio in decisive)
@@ -320,7 +320,7 @@ def _row(
 
 
 def _rows_of_squares(new: Callable[..., EvidenceRow], pair: Pair) -> Iterator[EvidenceRow]:
-    """Compare squared errors; a run with its own start is compared with the baseline's drawn starts."""
+    """Compare squared errors; a run with its own start is compared with the baseline's random starts."""
     shortest: RatioInterval | None = None
     for quantity in (name for name in pair[0] if name in pair[1]):
         before, after = (errors[quantity] for errors in pair)

@@ -1,4 +1,4 @@
-"""Errors against the reference, at the reference's own times: of one run, of runs from drawn starts, and their table.
+"""Errors against the reference, at the reference's own times: of one run, of runs from random starts, and their table.
 
 Errors are estimated minus reference, NaN where either says nothing. Percentages are of the distance travelled, which
 is the reference's wherever it can be measured.

@@ -234,7 +234,7 @@ NOTHING: Final = RatioInterval(NAN, NAN, NAN, NAN, NAN, 0.0)
 
 
 def paired_ratio(
-    baseline_sq: Floats,  # (k,) or (s, k), squared errors, evenly spaced in time, from one start or s drawn starts
+    baseline_sq: Floats,  # (k,) or (s, k), squared errors, evenly spaced in time, from one start or s random starts
     candidate_sq: Floats,  # the same shape, or (k,) of one run with a start of its own
     *,
     least_block: int = 1,  # neighbours with common data, such as the length of a segment in steps

@@ -378,13 +378,13 @@ def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_refer
     starts = [row.starts for row in evidence if row.evidence == "accuracy"]
     reason = "one dive is too short" if dives == 1 else "the measured interval is too wide to tell"
     if prediction == Prediction.NOT_CONFIRMED:
-        reason = "less than half of it was measured"
+        reason = "all accuracy evidence together shows less than half of it"
     elif not has_reference:
         reason = "there is no reference"
     elif not starts:
         reason = "no accuracy was measured"
     elif max(starts) < FEWEST_STARTS:
-        reason = f"this takes {FEWEST_STARTS} drawn starts (--starts 16)"
+        reason = f"this takes {FEWEST_STARTS} random starts (--starts 16)"
     elif 1 < dives < FEWEST_DIVES:
         reason = f"this takes {FEWEST_DIVES} dives"
     return f"Not confirmed: {reason}"
@@ -398,7 +398,7 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
         if np.isfinite(finite(row.ratio)):
             values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
             why = f"; {row.why}" if row.why else ""
-            drawn = f" over {row.starts} drawn starts" if row.evidence == "accuracy" and row.starts > 1 else ""
+            drawn = f" over {row.starts} random starts" if row.evidence == "accuracy" and row.starts > 1 else ""
             piece = f"{piece}{drawn} (this dive: {values}{interval_in_words(row, 'on this dive')}{why})"
         pieces.append(piece)
     left, needed = left_undecided(verdict, evidence), would_settle(verdict, evidence)

@@ -1,4 +1,4 @@
-"""The start of a filter: the level from gravity, the covariance of the errors at the start, and drawn starts.
+"""The start of a filter: the level from gravity, the covariance of the errors at the start, and random starts.
 
 Gravity is what accelerometers feel less what the DVL measures of the vehicle's own acceleration. In the Earth's frame
 ``dv/dt = f + g``. The gyros turn everything to the body axes at the start, by R from b at a time to b at the start, so

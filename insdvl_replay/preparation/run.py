@@ -1,4 +1,4 @@
-"""The candidates of a prepared dive, run: over the whole of it, from drawn starts, and in windows without the DVL.
+"""The candidates of a prepared dive, run: over the whole of it, from random starts, and in windows without the DVL.
 
 A candidate is anything that turns a dive and a start into a trajectory, a `History`. Parts that a history lacks are not
 evaluated: a covariance, innovations, runs from other starts, windows without the DVL. The compiled filter leaves the
@@ -46,7 +46,7 @@ from insdvl_replay.preparation.solutions import recorded_history
 T = TypeVar("T")
 
 WORTH_A_THREAD = 20_000  # IMU samples from which filters run in threads; with fewer, threads cost what they save
-MOST_DRAWN_SAMPLES = 20_000_000  # IMU samples, in all runs from drawn starts together: three seconds of work
+MOST_DRAWN_SAMPLES = 20_000_000  # IMU samples, in all runs from random starts together: three seconds of work
 MOST_DRAWN_TIMES = 5_000  # times of the reference at which the errors of each of these runs are kept
 
 
@@ -123,7 +123,7 @@ class Runs:
     """What the candidates of a dive gave, the baseline first."""
 
     histories: tuple[History, ...]
-    drawn: tuple[DrawnErrors, ...]  # from drawn starts; empty without a reference
+    drawn: tuple[DrawnErrors, ...]  # from random starts; empty without a reference
     outages: OutageRuns  # in windows without the DVL, of those that can be run there
     motions: dict[str, ReferenceColumns]  # of recorded solutions, by name: positions and velocities of each sample
     notes: tuple[Note, ...]
@@ -142,7 +142,7 @@ def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | N
 
 
 def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
-    """Run every candidate over the dive, then the filters through windows without the DVL and from drawn starts.
+    """Run every candidate over the dive, then the filters through windows without the DVL and from random starts.
 
     A history holds all of P where errors are judged by it, and where a window begins.
     """
@@ -248,7 +248,7 @@ def run_outages(dive: RunDive, config: Config, histories: tuple[History, ...], p
     )
 
 
-# --- Drawn starts.
+# --- Random starts.
 
 
 def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int = 0) -> tuple[DrawnErrors, ...]:
@@ -260,7 +260,7 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
     """
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")
-    report_stage("running the filters from drawn starts")
+    report_stage("running the filters from random starts")
     # Dives differ by these numbers, and they depend neither on a date nor on a processor.
     start_ns, time_ns = prepared.alignment.start_ns, dive.imu.time_ns
     sizes = len(time_ns), len(prepared.velocities.time_ns), prepared.end_ns - start_ns

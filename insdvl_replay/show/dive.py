@@ -282,7 +282,7 @@ def _how_measured(starts: int, *, is_read: bool) -> str:
         )
         return f"{begun} n: independent values behind the interval. The ratio of NEES is that of its distance from 1."
     drawn = (
-        f"Values: this dive, from its own start. Ratio of accuracy: over {starts} drawn starts."
+        f"Values: this dive, from its own start. Ratio of accuracy: over {starts} random starts."
         if starts > 1
         else "One start without error, so the gain after an error of the start is not measured (--starts 16)."
     )
@@ -362,7 +362,7 @@ _CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
 
 def over_starts(starts: int) -> str:
     """Say how values and ratio of accuracy rows differ; empty for one start."""
-    return f"ratio: over {starts} drawn starts; values: this dive, from its own start" if starts > 1 else ""
+    return f"accuracy ratios: over {starts} random starts; values: from the start in the log" if starts > 1 else ""
 
 
 def prediction_word(predicted_pct: Number, prediction: str) -> str:

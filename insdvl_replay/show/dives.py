@@ -32,7 +32,6 @@ from insdvl_replay.show.dive import (
     has_reference,
     interval_text,
     of_filter,
-    over_starts,
     prediction_word,
     ratio_text,
     replay_result,
@@ -238,8 +237,9 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
         [report] = (report for report in reports if name in report.filters)
         sections.append(dive_section(report, name, f"Evidence on {report.log.name} alone"))
     evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
-    drawn = over_starts(max((row.starts for row in evidence), default=0))
-    caption = f"All dives: each is one sample.{f' Dive by dive: {drawn}.' if drawn else ''}"
+    starts = max((row.starts for row in evidence), default=0)
+    over = f" Dive by dive: ratios of accuracy are over {starts} random starts." if starts > 1 else ""
+    caption = f"All dives: each is one sample.{over}"
     yield Only(PAGE, (first_screen(sections, caption),) if sections else ())
 
 

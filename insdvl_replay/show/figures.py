@@ -116,7 +116,7 @@ def error_panel(replay: Replay) -> Iterator[Panel]:
             time = clock.time(replay.start_ns + np.round(curve.time_s * NS_PER_S).astype(np.int64))
             band = (curve.low_m, curve.high_m) if curve.starts > 1 else None
             curves.append(Curve(time, curve.median_m, filter_style(number), label=name, band=band))
-        # Runs from drawn starts may end before a long dive does.
+        # Runs from random starts may end before a long dive does.
         ends, end = curves[0].x[-1], clock.limits[1]
         part = f", first {ends:.0f} {clock.unit}" if ends < _COMPLETE * end else ""
         panel = Panel(f"horizontal position error [m]{part}", clock.label, dashes_on_top(curves))
@@ -236,7 +236,7 @@ _FIRST_S, _FIRST = 1.0, 1e-3
 
 
 def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequence[EvidenceRow]) -> Iterator[Figure]:
-    """Draw the true errors of drawn starts over time, one panel for each quantity; nothing if none is known.
+    """Draw the true errors of random starts over time, one panel for each quantity; nothing if none is known.
 
     ``curves`` are by quantity of `quantities.CONVERGED`; ``evidence`` has the times of convergence.
     """
@@ -267,7 +267,7 @@ def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequen
     if panels:
         yield Figure(
             "Convergence",
-            "Measured: rms of the true errors of runs from drawn starts, over the last tenth of the elapsed time. A "
+            "Measured: rms of the true errors of runs from random starts, over the last tenth of the elapsed time. A "
             f"point marks the time from which a filter is as good as {names[0]} at the end. No point: the error does "
             "not fall.",
             tuple(panels),

@@ -116,7 +116,7 @@ def evidence_forest(title: str, verdict: Verdict, rows: Sequence[Piece], most: i
 def dives_forest(pooled: PooledCandidate, reports: Iterable[Report], *, linked: bool) -> str:
     """Draw the dives one by one, the smallest ratio first, by the quantity of the row that decided."""
     first = [*spoken_of(pooled.verdict, pooled.rows, DECIDING_TOGETHER), *pooled.rows][:1]
-    quantity, rows, starts = first[0].quantity if first else "", list[ForestRow](), 1
+    quantity, rows = first[0].quantity if first else "", list[ForestRow]()
     for report in (report for report in reports if pooled.name in report.filters):
         name, link = report.log.name, f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
         own = [row for row in report.tables.evidence if (row.filter, row.quantity) == (pooled.name, quantity)]
@@ -126,15 +126,15 @@ def dives_forest(pooled: PooledCandidate, reports: Iterable[Report], *, linked: 
             rows.append(ForestRow(name, None, text="no value", link=link))
         else:
             [row] = own
-            values = f"{significant(row.baseline, 3)} → {significant(row.value, 3)} {row.unit}"
-            rows.append(ForestRow(name, row.ratio, *shown_interval(row), row.verdict, values, link, _reason(row)))
-            starts = max(starts, row.starts if row.evidence == "accuracy" else 1)
+            text = f"{significant(row.baseline, 3)} → {significant(row.value, 3)} {row.unit}"
+            if row.evidence == "accuracy" and row.starts > 1:  # the values are from the dive's own start alone
+                text = f"{ratio_text(row.ratio)} {row.verdict}"
+            rows.append(ForestRow(name, row.ratio, *shown_interval(row), row.verdict, text, link, _reason(row)))
     rows.sort(key=_effect, reverse=True)
     name = label(quantity) or "evidence"
     title = f"{name[:1].upper()}{name[1:]}, dive by dive"
     if (left_out := len(rows) - MOST_DIVES) > 0:
         title += f": the {MOST_DIVES} largest effects, {left_out} more in the table below"
-    title += "; values from its own start" if starts > 1 else ""
     drawn = sorted(rows[:MOST_DIVES], key=lambda row: math.inf if row.ratio is None else row.ratio)
     return forest(title, drawn)
 

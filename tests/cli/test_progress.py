@@ -16,7 +16,7 @@ STAGES = [
     "reading the log",
     "running the filters",
     "DVL outage test",
-    "running the filters from drawn starts",
+    "running the filters from random starts",
     "judging the filters",
     "writing the results",
     "drawing the report",

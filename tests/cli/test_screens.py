@@ -308,7 +308,7 @@ def test_two_candidates_fit_a_screen_though_their_sentences_fold() -> None:
     text = rendered(list(dive_screen(replace(made, filters=filters, tables=tables), "report.html")))
     assert sum(line.startswith(tuple(f"{name} against" for name in filters)) for line in text.split("\n")) == 2
     assert len(screen_lines(text)) <= ROWS + 3
-    assert text.count("ratio: over 16 drawn starts") == 1
+    assert text.count("ratios: over 16 random starts") == 1
 
 
 def test_a_quiet_run_has_a_line_for_each_candidate() -> None:

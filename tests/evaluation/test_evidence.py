@@ -70,7 +70,7 @@ def test_gain_and_loss_are_reported_with_their_numbers() -> None:
 
 
 def test_values_are_of_this_dive_and_the_ratio_of_drawn_starts() -> None:
-    """The dive's own start does not err: its levels are far smaller than those that drawn starts leave behind."""
+    """The dive's own start does not err: its levels are far smaller than those that random starts leave behind."""
     rng = np.random.default_rng(5)
     drawn, own = errors(rng), errors(rng, starts=1)[0]
     before, after = (squared_errors(factor * drawn)._replace(own=(factor * 0.1 * own) ** 2) for factor in (1.0, 0.5))

@@ -52,7 +52,7 @@ def test_few_starts_say_nothing_of_what_is_predicted(starts: int, prediction: st
     """From the exact start a filter cannot show that it wears off errors of the start."""
     found = judged(["equivalent"], 40.0, (1.0, 0.99, 1.01), starts=starts)
     assert found.prediction == prediction
-    assert bool(re.search(r"takes 8 drawn starts\b", found.sentence)) == (starts < 8)
+    assert bool(re.search(r"takes 8 random starts\b", found.sentence)) == (starts < 8)
 
 
 def test_as_good_names_what_the_first_piece_leaves_undecided() -> None:

@@ -1,4 +1,4 @@
-"""Runs from drawn starts: on simulated worlds of which the filter is told the truth, and on real dives."""
+"""Runs from random starts: on simulated worlds of which the filter is told the truth, and on real dives."""
 
 from dataclasses import replace
 from pathlib import Path

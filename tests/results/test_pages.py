@@ -73,7 +73,7 @@ def test_index_starts_with_the_word_the_sentence_and_both_forests() -> None:
     assert counts == "Dive by dive: 3 better."
     rows = [text for text, _ in forest_rows(document)]
     assert rows[0] == "drift in 30 s0.80 better 3/3"
-    assert rows[-3:] == ["dive21 → 0.78 m", "dive31 → 0.8 m", "dive11 → 0.82 m"], "the smallest ratio first"
+    assert rows[-3:] == ["dive20.78 better", "dive30.80 better", "dive10.82 better"], "the smallest ratio first"
 
 
 def test_index_of_two_dives_draws_no_interval_and_says_why() -> None:
@@ -87,7 +87,7 @@ def test_index_of_two_dives_draws_no_interval_and_says_why() -> None:
 def test_index_of_many_dives_draws_the_largest_effects() -> None:
     document = Document(index_page(dives_of_ratios(*(1.0 - 0.01 * number for number in range(25)))).decode())
     drawn = [text for text, _ in forest_rows(document) if text.startswith("dive")]
-    assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive251 → 0.76 m", "dive61 → 0.95 m")
+    assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive250.76 better", "dive60.95 better")
     assert any("the 20 largest effects, 5 more in the table below" in title for title in document.texts["h3"])
 
 
