@@ -305,8 +305,10 @@ def _is_number(value: Cell) -> TypeGuard[float | int]:
 def _moved_text(old: float, new: float, unit: str, column: str, moved: Moved, limit: str) -> str:
     """Write a change against the expected value with its limit, such as ``1.54 -> 3.27 m (+112 %, limit +5 %)``."""
     of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(moved.better or "", "")
-    growth = [] if moved.change_pct is None else [f"{moved.change_pct:+.3g} {_percent(column)}{of_size}"]
-    pair = " -> ".join(numbers_apart(old, new))
+    is_same = agree(new, old, column)  # processors differ in the last digits
+    change_pct = 0.0 if is_same and moved.change_pct is not None else moved.change_pct
+    growth = [] if change_pct is None else [f"{change_pct:+.3g} {_percent(column)}{of_size}"]
+    pair = " -> ".join(numbers_apart(old, old if is_same else new))
     return f"{pair}{f' {unit}' if unit else ''} ({', '.join([*growth, f'limit {limit}'])})"
 
 
