@@ -130,7 +130,7 @@ def _cache(folder: Path) -> Iterator[Outcome]:
         cwd=folder, env=os.environ | {"INSDVL_REPLAY_CACHE": str(folder / "file")}, capture_output=True, check=False,
     )  # fmt: skip
     said = done.stderr.decode()
-    is_reported = done.returncode == 0 and "warning: compiled code cannot be kept" in said
+    is_reported = done.returncode == 0 and "warning: compiled code cannot be stored" in said
     yield "6 a cache that cannot be written", "ok" if is_reported else f"exit {done.returncode}", said[-200:]
 
 

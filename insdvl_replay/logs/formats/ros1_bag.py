@@ -252,7 +252,7 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
             raise DamageError(place, f"a record says its header has {size} bytes")
         bounds.extend((place, start, behind))
         place = behind
-    places, starts, ends = np.array(bounds, np.int64).reshape(-1, 3).T
+    places, starts, ends = np.frombuffer(bounds, np.int64).reshape(-1, 3).T
     connections, time_ns = np.full(places.size, -1, np.int64), np.zeros(places.size, np.int64)
     others, is_tried = [], False
     for row in range(places.size):
@@ -270,11 +270,12 @@ def messages_in(buffer: memoryview) -> tuple[Messages, list[_Record]]:
             # Nearly all messages have headers that differ from the first in connection and time alone.
             size = int(starts[row] - places[row]) - 8
             rows = np.flatnonzero(starts - places == size + 8)
-            headers = gather(buffer, places[rows] + 4, np.dtype((np.void, size))).view(np.uint8).reshape(-1, size)
-            header = headers[np.searchsorted(rows, row)]
-            connection, time = (bytes(header).index(name) + len(name) for name in (b"conn=", b"time="))
-            varies = np.isin(np.arange(size), [*range(connection, connection + 4), *range(time, time + 8)])
-            rows = rows[(headers[:, ~varies] == header[~varies]).all(axis=1)]
+            headers = gather(buffer, places[rows] + 4, np.dtype((np.bytes_, size)))
+            by_byte, first = headers.view(np.uint8).reshape(-1, size), int(np.searchsorted(rows, row))
+            connection, time = (bytes(by_byte[first]).index(name) + len(name) for name in (b"conn=", b"time="))
+            for varies in (slice(connection, connection + 4), slice(time, time + 8)):
+                by_byte[:, varies] = 0
+            rows = rows[headers == headers[first]]
             at = places[rows] + 4
             connections[rows] = gather(buffer, at + connection, _WORD)
             time_ns[rows] = _time_ns(gather(buffer, at + time, _WORD), gather(buffer, at + time + 4, _WORD))
