@@ -36,7 +36,7 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
                 found.setdefault(os.path.realpath(dive), dive)
         except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
             reason = getattr(error, "strerror", None) or error
-            raise ConfigError(f"{name}: cannot be looked for: {reason}", "check the path") from error
+            raise ConfigError(f"{name}: is not a usable path: {reason}", "check the path") from error
     return list(found.values())
 
 
@@ -68,7 +68,7 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
                 found.append(match)
     if not found:
         kinds = "logs, bags or results" if results else "logs or bags"
-        raise ConfigError(f"{path}: no dive is found there", f"{kinds} are looked for; is the path seen from here?")
+        raise ConfigError(f"{path}: no dive is found there", f"check the path: it needs {kinds}")
     return found
 
 

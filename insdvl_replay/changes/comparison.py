@@ -369,7 +369,7 @@ def find_violation(comparison: Comparison, above_pct: float) -> str:
         worse = f"{'are' if len(changes) > 1 else 'is'} worse{more}"
         reasons.append(f"{counted(len(changes), 'value')} {worse}; worst: {described(worst)}")
     if gone := [dive.log for dive in comparison.dives if dive.new is None]:
-        reasons.append(f"{counted(len(gone), 'dive')} without counterpart: {', '.join(gone)}")
+        reasons.append(f"{counted(len(gone), 'dive')} without new results: {', '.join(gone)}")
     return "; ".join(reasons)
 
 

@@ -221,7 +221,7 @@ def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
     known = list(dict.fromkeys(name for names in columns.values() for name in names if name not in PROSE))
     if gate.column in PROSE:
         raise ConfigError(
-            f"column '{gate.column}' is prose, which any version may write in other words",
+            f"column '{gate.column}' is prose, and another version may word it differently",
             f"columns for gates: {listed(known, len(known) if gate.table != ANY else MOST_NAMES)}",
         )
     require_known("column", gate.column, known)
@@ -248,5 +248,5 @@ def _require_known_cells(gate: Gate, filters: Sequence[str] | None) -> None:
         if gate.expected is not None and gate.column not in layout.better:
             raise ConfigError(
                 f"{column} has no better or worse direction, so it cannot be compared with an expected value",
-                f"one of {', '.join(layout.better)}, or equals, min or max",
+                f"name one of {', '.join(layout.better)}, or give equals, min or max",
             )

@@ -350,7 +350,7 @@ def trajectory_findings(
         findings.append(Finding(TRAJECTORY, name, row, "", None, None, f"{name}: {sentence}", passed))
     for name in old.names if old else ():
         if name not in new.names and gate.filter in (ANY, name):
-            sentence = f"{name}: is missing, and expected"
+            sentence = f"{name}: is missing, but in the expected trajectory"
             findings.append(Finding(TRAJECTORY, name, gate.row, "", None, None, sentence, passed=False))
     return tuple(findings)
 
@@ -382,8 +382,8 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str)
     first = int(np.argmax(differs.any(axis=1)))
     place, others = int(np.argmax(differs[first])), int(differs.any(axis=0).sum()) - 1
     sentence = (
-        f"{COLUMNS[place]} first differs at {new.time_s[first]:g} s ({apart[first, place]:.2g}, "
-        f"{allowed[COLUMNS[place]]:.2g} allowed), {int(differs[:, place].sum())} of {samples} samples"
+        f"{COLUMNS[place]} first differs at {new.time_s[first]:g} s (by {apart[first, place]:.2g}, allowed: "
+        f"{allowed[COLUMNS[place]]:.2g}), in all at {int(differs[:, place].sum())} of {samples} samples"
         f"{f', and {others} more quantities' if others else ''}"
     )
     return COLUMNS[place], sentence, False

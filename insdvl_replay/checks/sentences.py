@@ -33,8 +33,8 @@ _SENTENCES: Final = {
     "imu_zero": ("the {quantity} is zero in all {count} samples of the IMU", _OTHER_FIELD),
     "imu_constant": ("{quantity} {axis} is {value:g} {unit} in all {count} samples", _OTHER_FIELD),
     "imu_stuck": (
-        "{count} IMU samples repeat all readings of the sample before for over 1 s: first at {first_s:.1f} s, longest "
-        "run {longest_s:.1f} s",
+        "all readings of the IMU stay the same for over 1 s, in {count} samples; first at {first_s:.1f} s, longest for "
+        "{longest_s:.1f} s",
         "leave them out with --start and --end",
     ),
     "imu_no_gravity": (_GRAVITY, "{cure}"),
@@ -107,7 +107,7 @@ _SENTENCES: Final = {
     "reference_scale": (
         "the distance by the reference's positions is {off_pct:.2f} +- {sd_pct:.2f} % {longer} than by its velocity; "
         "one of them is wrong",
-        "trust one of them: a dvl.scale that fits the positions does not fit the velocity",
+        "find the wrong one; then name another reference.fix or reference.velocity_n, since dvl.scale fits only one",
     ),
     "reference_jump": (
         "the {quantity} of the reference jump in {count} of {steps} steps, the largest by {largest:.1f} {unit} at "

@@ -113,7 +113,7 @@ def looked_for(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be looked for: {error.strerror}", "check the path") from error
+        raise ConfigError(f"{path}: is not a usable path: {error.strerror}", "check the path") from error
 
 
 # --- Names that were meant

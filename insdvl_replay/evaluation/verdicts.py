@@ -396,7 +396,7 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
     for row in spoken_of(verdict, evidence):
         piece = changed(row.quantity, finite(row.ratio))
         if np.isfinite(finite(row.ratio)):
-            values = f"{finite(row.baseline):.3g} {row.unit}, now {finite(row.value):.3g} {row.unit}"
+            values = f"{finite(row.value):.3g} {row.unit} against {finite(row.baseline):.3g} {row.unit}"
             why = f"; {row.why}" if row.why else ""
             drawn = f" over {row.starts} random starts" if row.evidence == "accuracy" and row.starts > 1 else ""
             piece = f"{piece}{drawn} (this dive: {values}{interval_in_words(row, 'on this dive')}{why})"

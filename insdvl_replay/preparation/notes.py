@@ -21,10 +21,10 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     "dvl_outside_span": (INFO, "pings before the start of the replay or after its end: {count}", ""),
     "dvl_outages": (
         WARNING,
-        "DVL outages of over {held:g} s: {count}, the longest {longest:.0f} s from {since:.0f} s after the start; "
-        "gravity is computed at the last aided height there; "
+        "DVL outages of over {held:g} s: {count}; the longest lasts {longest:.0f} s and begins {since:.0f} s after the "
+        "start; meanwhile gravity is computed at the last height with DVL; "
         # The presets are valid for so long without a velocity; see docs/equations/kalman_filter.md.
-        "sigma is valid up to 5 min with MEMS, 1 h with tactical and 2 h with fibre-optic sensors",
+        "sigma is valid for 5 min with MEMS, 1 h with tactical and 2 h with fibre-optic sensors",
         "leave the outage out with --start and --end",
     ),
     # Gaps of the IMU.
@@ -72,7 +72,7 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
         "begin of the span; heading {heading:.2f} deg",
         "",
     ),
-    "start_velocity_dvl": (INFO, "start velocity from the DVL's ping {away:.2f} s away", ""),
+    "start_velocity_dvl": (INFO, "the start velocity is that of a DVL ping {away:.2f} s from the start", ""),
     "start_levelled": (
         INFO,
         "start roll {rpy[0]:.2f} +- {sd[0]:.2f} deg and pitch {rpy[1]:.2f} +- {sd[1]:.2f} deg from gravity over "

@@ -117,8 +117,8 @@ def dive_windows(dive: Dive, config: Config, longest: int) -> Windows:
     compared &= np.all([np.isfinite(expected).all(axis=1) for expected in expected_b.values()], axis=0)
     if not compared.any():
         raise LogError(
-            f"{dive.name}: no window of {longest} velocities, of {len(time_s)} pings, is free of gaps above "
-            f"{max_gap_s:g} s in DVL and reference",
+            f"{dive.name}: the {len(time_s)} pings have no window of {longest} velocities without a gap above "
+            f"{max_gap_s:g} s in DVL or reference",
             f"shorten the windows, such as --longest {max(2, longest // 2)}",
         )
     rows = []

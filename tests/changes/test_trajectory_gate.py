@@ -88,7 +88,7 @@ def test_what_is_missing_on_both_sides_is_the_same_and_on_one_it_differs() -> No
     missing = changed(0, "position_error_m", slice(0, 50), np.nan)
     assert sentences(EXPECTED, missing, missing) == []
     [told] = sentences(EXPECTED, missing)
-    assert re.search(r"position_error_m .* 0 s \(inf, .*\b50 of 400 ", told)
+    assert re.search(r"position_error_m .* 0 s \(by inf, .*\b50 of 400 ", told)
 
 
 def test_filters_and_times_that_are_not_the_same_never_pass() -> None:
