@@ -54,7 +54,7 @@ UNBOUNDED: Final = 3.0  # standard deviation of the logarithm beyond which none 
 # Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations.
 CONTRADICTED: Final = 9.0
 AS_IT_WAS: Final = "cannot be determined from these dives; unchanged"
-AT_MOST: Final = "cannot be determined from these dives; upper limit, since the configured value contradicts them"
+AT_MOST: Final = "cannot be determined from these dives; upper limit, as the configured value does not fit them"
 OWN_NOISE: Final = "[filters.NAME] of the baseline sets its own noise, which overrides [noise] and [dvl]"
 NO_GEOMETRY: Final = "the geometry of the DVL cannot be determined, and its errors would count as noise"
 
