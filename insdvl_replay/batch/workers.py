@@ -65,7 +65,8 @@ def do_each(
                         future = Future()
                         future.set_exception(error)
                     running[future] = place
-                # The answer of a worker of a cluster is lost if the worker dies after its work: nobody works any more.
+                # A worker of a cluster may die after its work, before its result arrives. Then no worker is busy, and
+                # no result will arrive.
                 first = partial(wait, running, return_when=FIRST_COMPLETED)
                 if not first(_ANSWERED_WITHIN_S).done and is_idle() and not first(_ANSWERED_WITHIN_S).done:
                     for future in running:

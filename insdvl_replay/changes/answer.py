@@ -12,7 +12,7 @@ import msgspec
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, DRIFT_QUANTITIES, label
+from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, DRIFT_QUANTITIES, FEWEST_DIVES, label
 from insdvl_replay.core.result import PAGE, PRINTED, Callout, DisplayTable, Only, Part, StoredReport, StoredResult
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import EvidenceVerdict, Verdict
@@ -29,7 +29,6 @@ _OVER_TIME: Final = {"position": ("position_error_m", "m"), "velocity": ("veloci
 """Evidence of a single dive: columns of its trajectory, with their units."""
 _NO_CHANGE: Final = 0.01  # of every value that decides: so small a change on a dive is none
 _MOST_DRAWN, _MOST_DIVES = 8, 20  # rows of the forest plots
-FEWEST: Final = 3  # dives that decide, as `verdicts.FEWEST_DIVES`
 
 
 class DiveChange(Struct, frozen=True):
@@ -62,7 +61,7 @@ class Answer(Struct, frozen=True):
     def is_same(self) -> bool:
         """Whether no value differs; or, of too few dives for statistics, none that decides by 1 %."""
         largest = finite(self.largest_change)
-        return largest == 0.0 or (largest < _NO_CHANGE and self.evaluated < FEWEST)
+        return largest == 0.0 or (largest < _NO_CHANGE and self.evaluated < FEWEST_DIVES)
 
     @property
     def is_harm(self) -> bool:
@@ -106,7 +105,7 @@ def answers_of(pairs: Pairs) -> tuple[Answer, ...]:
         )
         pooled = pooled_candidate(name, OLD, evidence, len(having))
         verdict, rows, sentence = pooled.verdict, pooled.rows, pooled_sentence(pooled)
-        if largest == 0.0 or (largest < _NO_CHANGE and len(evaluated) < FEWEST):
+        if largest == 0.0 or (largest < _NO_CHANGE and len(evaluated) < FEWEST_DIVES):
             verdict, sentence = Verdict.EQUIVALENT, f"{name} {_is_same(largest)}."
         elif len(having) == len(evaluated) == 1:
             over_time = tuple(_on_one_dive(name, *pairs[having[0]]))
@@ -135,7 +134,7 @@ def _measured(report: StoredReport) -> _Values:
 
     settings = report.config.get("filters")
     filters = settings.items() if isinstance(settings, dict) else ()
-    rows = [row for row in report.tables.get("evidence", []) if row.get("evidence") != CONSISTENT]
+    rows = [row for row in report.tables.get("evidence", []) if row.get("evidence") != CONSISTENCY]
     # An onboard solution has a start of its own, and its rows other values of the baseline.
     solutions = [name for name, own in filters if isinstance(own, dict) and own.get("solution")]
     rows.sort(key=lambda row: row["filter"] in solutions)
@@ -245,7 +244,7 @@ def _said(answer: Answer) -> str:
         pieces.append(f"{label(row.quantity)} {change_in_words(row)}{of_dives}")
     if spoken and answer.verdict == Verdict.UNDECIDED:
         needed = would_settle(answer.verdict, answer.rows, DECIDING_TOGETHER)
-        pieces.append(f"at least {FEWEST} dives decide" if answer.evaluated < FEWEST else needed)
+        pieces.append(f"at least {FEWEST_DIVES} dives decide" if answer.evaluated < FEWEST_DIVES else needed)
     pieces.append(f"no longer evaluated in {answer.lost} of {answer.dives}" if answer.lost else "")
     return "; ".join(filter(None, pieces)) or "no evidence"
 
@@ -253,7 +252,7 @@ def _said(answer: Answer) -> str:
 def change_in_words(row: PooledRow) -> str:
     """Write a ratio with its interval in percent, a large one in times."""
     ratio, low, high = map(finite, (row.ratio, row.low, row.high))
-    low = math.nan if 1 < row.dives < FEWEST else low  # the interval of two dives says nothing
+    low = math.nan if 1 < row.dives < FEWEST_DIVES else low  # the interval of two dives says nothing
     if math.isnan(ratio):
         return MISSING
     if ratio >= _MANY_TIMES:

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 from msgspec import Struct
 
 from insdvl_replay.core.errors import ResultError
-from insdvl_replay.core.quantities import CONSISTENT, label
+from insdvl_replay.core.quantities import CONSISTENCY, label
 from insdvl_replay.core.result import Cell, Row, StoredReport, StoredResult
 from insdvl_replay.core.tables import CANDIDATES, PERCENTAGE, UNITS, Better, Number, TableLayout
 from insdvl_replay.core.words import ChangeVerdict
@@ -178,7 +178,7 @@ def judge_cell(
     """Return the change of a cell that both rows have."""
     was, is_, better = old[column], new[column], layout.better.get(column)
     dofs = _dof(old), _dof(new)
-    if layout.name == "evidence" and new.get("evidence") == CONSISTENT and column in ("baseline", "value"):
+    if layout.name == "evidence" and new.get("evidence") == CONSISTENCY and column in ("baseline", "value"):
         better, dofs = "nearer dof", (1.0, 1.0)  # NIS and NEES over their degrees of freedom
     if better == "nearer dof" and not all(dof > 0.0 for dof in dofs):
         better = None

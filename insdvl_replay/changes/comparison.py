@@ -354,7 +354,7 @@ def parse_percentage(text: str, option: str) -> float:
 
 def harmed(comparison: Comparison) -> str:
     """Return the sentences of the filters whose answer is worse or partly worse; empty if there are none."""
-    return "; ".join(answer.sentence for answer in comparison.answers if answer.is_harm)
+    return " ".join(answer.sentence for answer in comparison.answers if answer.is_harm)
 
 
 def find_violation(comparison: Comparison, above_pct: float) -> str:
@@ -474,14 +474,14 @@ def _title(comparison: Comparison) -> str:
 
 def _changed_settings(comparison: Comparison) -> list[str]:
     """Return the settings that differ, each once, with the number of its dives if it does not differ in all."""
-    matched, texts = len(comparison.matched), []
-    for item in comparison.differences:
-        if item.block == "config":
-            some = f" (in {len(item.logs)} of {matched})" if len(item.logs) < matched else ""
-            texts.append(
-                change_text(item.key, *(NONE if side is None else side for side in (item.old, item.new))) + some
-            )
-    return texts
+    return [_difference_text(item, item.key, comparison) for item in comparison.differences if item.block == "config"]
+
+
+def _difference_text(item: Difference, name: str, comparison: Comparison) -> str:
+    """Write a difference, with the number of its dives if it is not in all."""
+    matched = len(comparison.matched)
+    some = f" (in {len(item.logs)} of {matched})" if len(item.logs) < matched else ""
+    return change_text(name, *(NONE if side is None else side for side in (item.old, item.new))) + some
 
 
 def _changed_verdicts(comparison: Comparison) -> list[str]:
@@ -516,8 +516,7 @@ def _brief_differences(comparison: Comparison, most: int) -> list[str]:
     texts = [text for text in settings if text not in title]
     for item in found:
         if item not in other and item.block != "config":
-            sides = (NONE if side is None else side for side in (item.old, item.new))
-            texts.append(change_text(f"{item.block} {item.key}", *sides))
+            texts.append(_difference_text(item, f"{item.block} {item.key}", comparison))
     left = len(texts) - most
     return [*lines, *texts[:most], *([f"{left} more differ: --all"] if left > 0 else [])]
 

@@ -112,7 +112,7 @@ _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 # Differences from sensors that are withheld.
 HELD_OUT_QUANTITIES: Final = tuple(f"{HELD_OUT}{name}" for name in SENSORS)
 # Evidence whether innovations and errors are as large as a filter says; it has no vote.
-CONSISTENT: Final = "consistency"
+CONSISTENCY: Final = "consistency"
 # Errors of the track of a whole dive, one sample each: unit, and row and column of the reference errors.
 TRACK: Final = {
     "position": ("m", "position_h", "rmse"),
@@ -127,6 +127,7 @@ DECIDING: Final = (*(name for name in (*ACCURACY, *_OUTAGE, *HELD_OUT_QUANTITIES
 # Those by which several dives decide. One dive is one sample of its track; and of the sensors, by which filters
 # converge.
 DECIDING_TOGETHER: Final = (*DECIDING, "position", "position_end", "depth", *_CONVERGENCE)
+FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
 # Rows of evidence, each name once.
 EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_OUTAGE, *HELD_OUT_QUANTITIES, *_CONVERGENCE, "nis", "nees")
 _LABELS: Final = {

@@ -21,7 +21,7 @@ from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
-    CONSISTENT,
+    CONSISTENCY,
     CONVERGED,
     HELD_OUT,
     TRACK,
@@ -281,7 +281,7 @@ def evidence_table(
             if off and now and math.isfinite(off.size) and math.isfinite(now.size):
                 ratio, word = _more_consistent(off, now)
                 interval = NOTHING._replace(ratio=ratio, effective_samples=math.nan)
-                rows.append(new(CONSISTENT, quantity, "", (off.size, now.size), interval, verdict=word))
+                rows.append(new(CONSISTENCY, quantity, "", (off.size, now.size), interval, verdict=word))
     return rows
 
 

@@ -18,10 +18,11 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
-    CONSISTENT,
+    CONSISTENCY,
     DECIDING,
     DECIDING_TOGETHER,
     EVIDENCE_QUANTITIES,
+    FEWEST_DIVES,
     IS_REFERENCE,
     VERDICTS_BEST_FIRST,
     is_beam,
@@ -77,7 +78,6 @@ NOT_EVALUATED: Final = "is NOT EVALUATED against"
 SETTLE: Final = ". Settle this first"
 TOO_LARGE: Final = "innovations far too large"
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
-FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
 FEWEST_SHOWN: Final = 3  # The interval of fewer effective samples, or dives, is stored but not shown.
 
 Piece = EvidenceRow | PooledRow  # one evidence row, of one dive or of several
@@ -403,7 +403,7 @@ def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
         pieces.append(piece)
     left, needed = left_undecided(verdict, evidence), would_settle(verdict, evidence)
     left += f"; {needed}" if needed else ""
-    words = {row.verdict for row in evidence if row.evidence == CONSISTENT} & {
+    words = {row.verdict for row in evidence if row.evidence == CONSISTENCY} & {
         EvidenceVerdict.BETTER,
         EvidenceVerdict.WORSE,
     }
@@ -523,7 +523,7 @@ def pooled_evidence(
     """Pool the evidence of several dives on one candidate; the row that decides first is in front."""
     pooled = []
     for quantity in EVIDENCE_QUANTITIES:
-        rows = [row for dive in dives for row in dive if row.quantity == quantity and row.evidence != CONSISTENT]
+        rows = [row for dive in dives for row in dive if row.quantity == quantity and row.evidence != CONSISTENCY]
         if not rows:
             continue
         with np.errstate(divide="ignore", invalid="ignore"):

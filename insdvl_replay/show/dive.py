@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from insdvl_replay.core.errors import counted, require_known
 from insdvl_replay.core.quantities import (
-    CONSISTENT,
+    CONSISTENCY,
     DECIDING,
     DECIDING_TOGETHER,
     HELD_OUT_QUANTITIES,
@@ -117,7 +117,7 @@ def verdict_in_table(row: Piece) -> str:
 
 def reason_in_words(row: Piece) -> str:
     """Say why a row has no interval, or is neither better nor worse although its interval excludes 1; else empty."""
-    if row.ratio is None or row.evidence == CONSISTENT or row.verdict in ("", *DECIDED):
+    if row.ratio is None or row.evidence == CONSISTENCY or row.verdict in ("", *DECIDED):
         return ""
     is_pooled, is_time, (low, high) = isinstance(row, PooledRow), row.evidence == "convergence", shown_interval(row)
     if isinstance(row, EvidenceRow) and row.why:

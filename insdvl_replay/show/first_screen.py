@@ -7,7 +7,7 @@ from typing import Final
 from urllib.parse import quote
 
 from insdvl_replay.core.errors import visible_lines
-from insdvl_replay.core.quantities import CONSISTENT, DECIDING_TOGETHER, label
+from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, label
 from insdvl_replay.core.result import DisplayTable, Html, Report
 from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.core.words import EvidenceVerdict, Verdict
@@ -101,7 +101,7 @@ def evidence_forest(title: str, verdict: Verdict, rows: Sequence[Piece], most: i
     deciding = deciding_quantities(rows)
     named = spoken_of(verdict, rows, deciding)
     # Innovations have no vote, and the track of one dive is one sample.
-    known = [row for row in _known(rows) if row.evidence != CONSISTENT]
+    known = [row for row in _known(rows) if row.evidence != CONSISTENCY]
     known = [row for row in known if row.evidence != "track" or row.quantity in deciding]
     drawn = []
     for row in chosen_rows(known, most):

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from insdvl_replay.core.errors import counted, natural_key
-from insdvl_replay.core.quantities import CONSISTENT, is_beam, label
+from insdvl_replay.core.quantities import CONSISTENCY, is_beam, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Severity, Verdict
@@ -108,7 +108,7 @@ def _dive_answer(report: Report, name: str) -> Answer:
         name,
         report.baseline,
         Verdict(candidate.verdict),
-        [row for row in evidence if row.evidence != CONSISTENT and row.ratio is not None],
+        [row for row in evidence if row.evidence != CONSISTENCY and row.ratio is not None],
         report.log.name,
         reason_not_evaluated(candidate.sentence),
         candidate.mean_improvement_pct,
@@ -454,7 +454,7 @@ def _dive_cells(outcome: Outcome, names: Sequence[str], rows: Mapping[str, Evide
 def _quantity(name: str, reports: Sequence[Report], answers: Mapping[str, Answer]) -> str:
     """Return the quantity that decided over the dives, or could have; else the first evidence of a dive."""
     spoken = answers[name].spoken if name in answers else []
-    rows = (row for report in reports for row in of_filter(name, report.tables.evidence) if row.evidence != CONSISTENT)
+    rows = (row for report in reports for row in of_filter(name, report.tables.evidence) if row.evidence != CONSISTENCY)
     return next((row.quantity for row in (*spoken, *rows)), "")
 
 
