@@ -13,7 +13,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import msgspec
 
@@ -22,7 +22,7 @@ from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
-from insdvl_replay.core.result import Report, decode_report, package_versions
+from insdvl_replay.core.result import Report, StoredReport, decode_report, flattened, package_versions
 from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progress
 from insdvl_replay.core.words import Severity
@@ -42,6 +42,7 @@ from insdvl_replay.results.folder import (
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
 DAMAGED_RESULT: Final = "result_damaged"
+_MOST_SETTINGS: Final = 3  # in the error about a result with others
 
 
 @dataclass(frozen=True)
@@ -115,6 +116,9 @@ def known_reports(
             if not force:
                 raise ConfigError(report.text, "keep what was changed, or replace it with --force")
             report_note(report)
+        if not force and (reason := _made_otherwise(job)):
+            hint = "replace it with --force, or keep it and choose another folder with -o"
+            raise ConfigError(f"{job.target}: {reason}", hint)
         require_replaceable_folder(job.target, force=force)
     return known
 
@@ -132,9 +136,7 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
         wanted |= {file for format_, file in MAPS.items() if format_ in options.tracks}
         wanted |= {REPLAY_LOG} if options.histories else set()
         wanted |= {history_file(name, options.history_format) for name in names} if options.history_format else set()
-        config, codes = report.config, {note.code for note in report.notes}
-        if options.control:  # the tuned baseline is known by its note, since it was fitted
-            config = config | {"filters": {name: config["filters"][name] for name in [*config["filters"]][:-1]}}
+        config, codes = _settings_before_the_fit(report.config, report.notes), {note.code for note in report.notes}
         same = (
             (report.tool.version, report.tool.sources) == (options.version, options.sources)
             and report.versions == package_versions()
@@ -152,6 +154,43 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
         text = f"{job.target}: not as its replay wrote it: {listed(damaged)}"
         return Note(DAMAGED_RESULT, text, len(damaged), Severity.WARNING)
     return report if same else None
+
+
+def _settings_before_the_fit(config: dict[str, Any], notes: Sequence[Note]) -> dict[str, Any]:
+    """Return the settings of a result without the tuned baseline, which is known by its note, since it was fitted."""
+    if not any(note.code == CONTROL_NOTE for note in notes):
+        return config
+    return config | {"filters": {name: config["filters"][name] for name in [*config["filters"]][:-1]}}
+
+
+def _made_otherwise(job: ReplayJob) -> str:
+    """Return what differs from the result in a job's folder; empty if there is none that can be read."""
+    from insdvl_replay.changes.cells import changed_settings
+
+    options = job.options
+    try:
+        stored = msgspec.json.decode(read_file(job.target / COMPLETE), type=StoredReport)
+        configs = _settings_before_the_fit(stored.config, stored.notes), msgspec.to_builtins(options.config)
+        was_fitted = any(note.code == CONTROL_NOTE for note in stored.notes)
+        # The keys of a filter that only one side has say nothing more than its name.
+        one_sided = tuple(f"filters.{name}." for name in {*configs[0]["filters"]} ^ {*configs[1]["filters"]})
+        old, new = (
+            {"filters": ", ".join(config["filters"]), "--control": is_fitted}
+            | {key: value for key, value in flattened(config) if not key.startswith(one_sided)}
+            for config, is_fitted in zip(configs, (was_fitted, options.control), strict=True)
+        )
+        is_other_log = log_digest(job) != stored.log.sha256
+    except (OSError, TypeError, KeyError, *NOT_JSON, UserError):
+        return ""
+    settings = changed_settings(old, new)
+    asked = {"version": options.version, "sources": options.sources}
+    is_other_version = stored.versions != package_versions() or not asked.items() <= stored.tool.items()
+    reasons = [
+        *(["of another log"] if is_other_log else []),
+        *(["by another version"] if is_other_version else []),
+        *([f"with other settings: {listed(settings, _MOST_SETTINGS)}"] if settings else []),
+    ]
+    return f"holds a result {', '.join(reasons)}" if reasons else ""
 
 
 def replay_jobs(

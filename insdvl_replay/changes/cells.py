@@ -4,9 +4,10 @@ The size of a number is compared: its value, its magnitude (*nearer zero*), or i
 (*nearer dof*).
 """
 
+import json
 import math
-from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
 from msgspec import Struct
 
@@ -83,6 +84,19 @@ def change_text(key: str, old: str, new: str) -> str:
     """Write the change of a setting, long values cut."""
     texts = (text if len(text) <= _MOST_LETTERS else f"{text[: _MOST_LETTERS - 3]}..." for text in (old, new))
     return f"{key} {' -> '.join(texts)}"
+
+
+def changed_settings(
+    old: Mapping[str, Any],  # by dotted key
+    new: Mapping[str, Any],
+    defaults: Mapping[str, Any] = {},  # of a key that a side lacks
+) -> list[str]:
+    """Write each setting that differs, with both values."""
+    return [
+        change_text(key, *(json.dumps(side.get(key, defaults.get(key))) for side in (old, new)))
+        for key in dict.fromkeys((*old, *new))
+        if old.get(key) != new.get(key)
+    ]
 
 
 # --- Compare.

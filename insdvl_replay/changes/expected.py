@@ -1,6 +1,5 @@
 """Expected values: what `check --update` stores of a dive, and which causes they show for a gate that fails."""
 
-import json
 from collections.abc import Iterator, Sequence
 from functools import cache
 from io import BytesIO
@@ -10,7 +9,7 @@ from zipfile import BadZipFile, ZipFile, ZipInfo
 
 import msgspec
 
-from insdvl_replay.changes.cells import change_text, named_rows
+from insdvl_replay.changes.cells import changed_settings, named_rows
 from insdvl_replay.changes.gate_file import LOG, TRAJECTORY, Gate, Gates, is_meant
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, UserError, listed, looked_for
@@ -138,12 +137,7 @@ def known_causes(gates: Gates, dive: str, report: StoredReport) -> tuple[str, ..
         causes.append(f"the version of the tool differs: {old[1]} -> {new[1]}")
     was, is_ = (_own_settings(values) for values in (stored, report))
     if stored.config and was != is_:
-        texts = [
-            change_text(key, *(json.dumps(side.get(key, _defaults().get(key))) for side in (was, is_)))
-            for key in dict.fromkeys((*was, *is_))
-            if was.get(key) != is_.get(key)
-        ]
-        causes.append(f"settings differ: {listed(texts, MOST_CAUSES)}")
+        causes.append(f"settings differ: {listed(changed_settings(was, is_, _defaults()), MOST_CAUSES)}")
     return tuple(causes)
 
 

@@ -456,6 +456,35 @@ def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, 
         known_reports(jobs, force=True)
 
 
+@pytest.mark.parametrize(
+    ("settings", "wishes", "found"),
+    [
+        (["dvl.scale=1.01"], {}, r"with other settings: dvl\.scale 1\.0 -> 1\.01\n"),
+        (['filters.more.aiding=["beams"]'], {}, r'settings: filters "baseline, aided" -> "baseline, aided, more"\n'),
+        ([f"dvl.{key}=0.5" for key in ("scale", "latency_s", "velocity_sd_mps", "beam_sd_mps")], {}, r" and 1 more\n"),
+        ([], {"control": True}, r"with other settings: --control false -> true\n"),
+        ([], {"sources": "other code"}, r"holds a result by another version\n"),
+    ],
+)
+def test_the_error_on_another_result_says_what_differs(
+    settings: list[str], wishes: dict[str, Any], found: str, archive: Path, results: Path
+) -> None:
+    options = ReplayOptions(load_config(overrides=settings), **wishes)
+    jobs = plan_jobs([archive / "dive_1.mcap"], results, options)
+    with pytest.raises(ConfigError, match=found) as raised:
+        known_reports(jobs, force=False)
+    assert "--force" in raised.value.hint
+    assert "-o" in raised.value.hint
+
+
+def test_the_error_on_a_result_of_another_log_says_so(archive: Path, results: Path) -> None:
+    (job,) = plan_jobs([archive / "dive_1.mcap"], results, ReplayOptions(load_config()))
+    with pytest.raises(ConfigError, match=r"dive_1: holds a result of another log\n"):
+        known_reports(
+            [dataclasses.replace(job, logs=(archive / "dive_2.mcap",), name=archive / "dive_2.mcap")], force=False
+        )
+
+
 def test_a_result_that_is_not_whole_is_replayed_and_reported(
     archive: Path, results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
