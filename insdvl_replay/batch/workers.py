@@ -18,7 +18,8 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from typing import Any, Final, TypeVar
+from types import FrameType
+from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.runtime import prepare_process
@@ -33,7 +34,7 @@ _THREADS_OF_LIBRARIES: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_
 """The variables that set, before numpy is imported, on how many cores it multiplies matrices."""
 _REACHED_WITHIN_S: Final = 10
 _WORKERS_WITHIN_S: Final = 60
-_ENDED_WITHIN_S: Final = 5
+_ENDED_WITHIN_S: Final = 15
 _ANSWERED_WITHIN_S: Final = 15
 _PR_SET_PDEATHSIG: Final = 1
 
@@ -136,12 +137,18 @@ def _begin() -> None:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
     prepare_process()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # what is half written is removed on the way out
+    signal.signal(signal.SIGTERM, _end)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a worker ends with a parent that is killed
         parent = multiprocessing.parent_process()
         if parent is None or not parent.is_alive():
             os._exit(1)
+
+
+def _end(_signal: int, _frame: FrameType | None) -> NoReturn:
+    """Remove what is half written on the way out; a pool that breaks asks its workers again, in the middle of it."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
 
 
 def _do(work: Callable[[Item], Result], item: Item) -> Result:
