@@ -7,13 +7,14 @@ change.
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.errors import ConfigError, ResultError, hint_for
+from insdvl_replay.core.errors import ConfigError, ResultError, UserError, hint_for
 from insdvl_replay.core.result import Block, Callout, Code, Part, Report, Title
 from insdvl_replay.core.result import Result as Content
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
@@ -96,6 +97,7 @@ def replay_log(
     *,
     allow_damaged: bool = False,
     name: str | None = None,
+    auto: bool = False,
 ) -> "DiveResult":
     """Replay a dive through the configured filters and return the result.
 
@@ -109,6 +111,8 @@ def replay_log(
         Use the readable part of a damaged log.
     name : str, optional
         Name of the dive. Default: the name of the log.
+    auto : bool
+        If the log cannot be replayed as it is, find settings, as ``run`` does. The notes say what was found.
 
     Raises
     ------
@@ -121,7 +125,17 @@ def replay_log(
     from insdvl_replay.results.result_files import report_of
 
     paths = _paths(log)
-    replay = replayed(paths if len(paths) > 1 else paths[0], config or Config(), allow_damaged=allow_damaged, name=name)
+    run = partial(replayed, paths, allow_damaged=allow_damaged, name=name)
+    try:
+        replay = run(config or Config(), require_fit=auto)
+    except UserError:
+        if not auto:
+            raise
+        from insdvl_replay.inspection.automatic import find_settings
+
+        found = find_settings([paths], config or Config(), allow_damaged=allow_damaged)
+        replay = run(found.config)
+        replay = replace(replay, notes=(*found.notes, *replay.notes))
     return DiveResult(report_of(replay), _replay=replay)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,6 +32,7 @@ from insdvl_replay.results.folder import (
     MAPS,
     NOT_JSON,
     REPLAY_LOG,
+    VEHICLE_FILE,
     damaged_files,
     history_file,
     read_file,
@@ -55,6 +57,9 @@ class ReplayOptions:
     tracks: tuple[str, ...] = ()  # formats of tracks that are written, too
     histories: bool = True  # write replay.mcap
     history_format: str = ""  # of each filter's history next to it; empty for none
+    require_fit: bool = False  # refuse a dive that shows that the settings are wrong
+    found: tuple[Note, ...] = ()  # how the settings were found, if nobody made them
+    vehicle: str = ""  # these settings as vehicle.toml
     version: str = __version__  # of the tool, which workers elsewhere must have, too
     sources: str = field(default_factory=sources_digest)  # likewise
 
@@ -253,14 +258,18 @@ def replay_into(job: ReplayJob) -> bytes:
     if not job.replaces and isinstance(_known_report(job), Report):
         return (job.target / COMPLETE).read_bytes()
     # Heavy, and often no dive is replayed.
-    from insdvl_replay.replay import replay_log
+    from insdvl_replay.replay import Replay, replay_log
     from insdvl_replay.results.result_files import save_histories, save_replay
 
-    run = replay_log
+    run: Callable[..., Replay] = partial(replay_log, require_fit=True) if options.require_fit else replay_log
     if options.control:
-        from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline as run
+        from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
+
+        run = replay_with_tuned_baseline
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     replay = run(job.logs, options.config, allow_damaged=options.allow_damaged, name=job.target.name)
+    if options.found:
+        replay = replace(replay, notes=(*options.found, *replay.notes))
     if job.sha256 is not None and replay.dive.sha256 != job.sha256:
         raise LogError(
             f"{job.name}: the worker has another file there: its SHA-256 is {replay.dive.sha256}, where the replay "
@@ -269,6 +278,8 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
+        if options.vehicle:
+            (folder / VEHICLE_FILE).write_text(options.vehicle, "utf-8")
         if options.tracks:
             from insdvl_replay.results.tracks import save_tracks
 

@@ -84,7 +84,7 @@ WEAK: Final = 10.0
 CORRELATED: Final = 0.3
 INSEPARABLE: Final = 0.9
 TOO_LARGE: Final = 2.0  # innovations that scatter by more, in their own sds, have another cause than the geometry
-OUTAGE_S: Final = "60"
+OUTAGES_S: Final = ("60",)
 AXES: Final = ("forward", "starboard", "down")
 
 Refusals = Iterator[tuple[int, tuple[Estimated, str]]]  # indices of parameters that are left unchanged, and why
@@ -286,7 +286,9 @@ def _warnings(
             )
 
 
-def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = None) -> HeldOutRow:
+def held_out_row(
+    read: ReadDive, change: Floats, noise: FittedNoise | None = None, windows_s: Sequence[str] = OUTAGES_S
+) -> HeldOutRow:
     """Return the row of a held-out dive: NIS and drift before and after a change, (8,), and NIS with a new noise."""
     asked, config = read.innovations(), read.config
     alone = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
@@ -299,7 +301,7 @@ def held_out_row(read: ReadDive, change: Floats, noise: FittedNoise | None = Non
         moved = replace(prepared, velocities=pings, mounting=moved_mounting(prepared.mounting, tried))
         runs = run_candidates(read.dive, moved, plan_runs(read.dive, moved, alone, starts=0), alone)
         rows = outage_test_table(read.dive.name, runs.outages)
-        outages.append(next((row for row in rows if row.window_s == OUTAGE_S), None))
+        outages.append(next((row for window_s in windows_s for row in rows if row.window_s == window_s), None))
     windows = outages[0].windows if outages[0] else 0
     noisy = None if noise is None else nis_per_dof(noise.applied(asked), change)
     before_m, after_m = (None if row is None else row.drift_median_m for row in outages)

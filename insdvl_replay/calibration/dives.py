@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from insdvl_replay.calibration.calibration import Calibration, calibrate, held_out_row
+from insdvl_replay.calibration.calibration import OUTAGES_S, Calibration, calibrate, held_out_row
 from insdvl_replay.calibration.fit import likeliest_mounting, possible_axes, with_mounting
 from insdvl_replay.calibration.innovations import ALL_GROUPS, REFERENCE_GROUPS, DiveInnovations, Geometry, ReadDive
 from insdvl_replay.calibration.reference import with_reference
@@ -42,6 +42,7 @@ def calibrate_dives(
     reference: bool = False,  # compare with the references, and calibrate these, too
     one_delay: bool = False,  # for all dives
     mounting_unknown: bool = False,  # try 24 mountings first
+    windows_s: Sequence[str] = OUTAGES_S,  # of the drift without DVL; the first that the held-out dives have
 ) -> CalibratedDives:
     """Calibrate dives, and test the result on those that are held out."""
     kept, held = _divided(dives, hold_out)
@@ -54,7 +55,8 @@ def calibrate_dives(
     found = with_reference(found, kept, asked, groups) if reference else found
     found = found.from_mounting(known, mountings) if mounting_unknown else found
     noise = found.noise if found.proposes_noise else None
-    others = [held_out_row(dive, found.change, noise) for dive in track_progress("testing on held-out dives", held)]
+    tested = track_progress("testing on held-out dives", held)
+    others = [held_out_row(dive, found.change, noise, windows_s) for dive in tested]
     return CalibratedDives(replace(found, held_out=tuple(others)), config, kept, asked)
 
 

@@ -136,6 +136,12 @@ class Geometry(Struct, frozen=True):
         """Rotation from the instrument's axes to the body's, (3, 3)."""
         return mat_from_rpy(np.array(self.mounting_rpy_deg) * DEG)
 
+    def rounded(self) -> "Geometry":
+        """Return the settings with six decimals, finer than any sd."""
+        vectors = self.lever_arm_m, self.mounting_rpy_deg
+        arm_m, rpy_deg = (tuple(round(value, 6) for value in vector) for vector in vectors)
+        return Geometry(round(self.latency_s, 6), arm_m, rpy_deg, round(self.scale, 6))  # type: ignore[arg-type]
+
     def changed(self, change: Floats) -> "Geometry":
         """Return the settings after a change, (7,) or with a scale (8,); a group without change is equal to the bit."""
         turn = change[MOUNTING]

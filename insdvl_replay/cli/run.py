@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Generator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,6 +15,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
+    from insdvl_replay.core.errors import Note
     from insdvl_replay.core.result import Report
     from insdvl_replay.show.dives import Failure
 
@@ -31,6 +33,10 @@ def run(
     start: opt.Start = None,
     end: opt.End = None,
     settings: opt.Settings = [],
+    auto: Annotated[
+        bool,
+        typer.Option("--auto/--no-auto", help="If a log needs settings and none are given, find them, or stop."),
+    ] = True,
     starts: Annotated[
         int | None,
         typer.Option(
@@ -74,6 +80,10 @@ def run(
     A log that cannot be used does not stop the others. A dive is replayed only if its log, the settings or the
     versions have changed since its last result.
 
+    Without -c, --preset and --set, a log that cannot be replayed as it is gets settings: topics, units, axes, noise and
+    geometry are tried and calibrated. stderr says what was found or assumed. vehicle.toml in the result holds these
+    settings for -c.
+
     \b
     Example:
       insdvl-replay run dive.mcap
@@ -110,12 +120,14 @@ def run(
     require_tables(tables)
     drawn = [] if starts is None else [f"evaluation.starts={starts}"]
     given = [*settings, *opt.span_settings(start, end), *drawn]
+    is_free = auto and not (control or preset or config or scheduler or sets_roles(settings))
     options = ReplayOptions(
         load_config(preset, config, given, allow_code=allow_code),
         allow_damaged=allow_damaged,
         control=control,
         tracks=tuple(name for name, is_wanted in (("tum", tum), ("kml", kml), ("geojson", geojson)) if is_wanted),
         history_format=history or "",
+        require_fit=is_free,
     )
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
@@ -147,8 +159,9 @@ def run(
             continue
         reports.append(report)
         unchanged += outcome.unchanged
+        log_findings(report.notes, target, shows=not quiet and target == dives[0].target)
         if talks or (alone and not quiet):
-            log_notes(report.notes, verbose=verbose > 0)
+            log_notes([note for note in report.notes if not is_finding(note)], verbose=verbose > 0)
             if verbose and report.notes and not explained:
                 log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
                 explained = True
@@ -228,10 +241,82 @@ def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, tables: list[
             require_replaceable_file(path, force=force or beginning in path.read_bytes()[:_BEGINNING])
 
 
+def sets_roles(settings: Sequence[str]) -> bool:
+    """Return whether single settings say more than which part is replayed, and how it is judged."""
+    return not all(setting.startswith(("span.", "evaluation.")) for setting in settings)
+
+
+def outcomes_without_settings(
+    dives: "Sequence[ReplayJob]", jobs: int, *, force: bool, rerun: bool
+) -> "Generator[Outcome, None, None]":
+    """Replay dives of one vehicle as they are, if the first can be; else with settings that are found first."""
+    from insdvl_replay.batch.jobs import known_reports
+    from insdvl_replay.cli.screen import REPLAY, compiling, progress
+    from insdvl_replay.core.errors import UserError
+    from insdvl_replay.inspection.automatic import find_settings, stored_settings
+    from insdvl_replay.replay import MisfitError
+
+    def with_options(dives: "Sequence[ReplayJob]", **changes: object) -> "list[ReplayJob]":
+        options = replace(dives[0].options, require_fit=False, **changes)  # type: ignore[arg-type]
+        return [replace(dive, options=options) for dive in dives]
+
+    if (stored := stored_settings(dives[0].target, dives[0].options.config)) is not None:
+        same = with_options(dives, config=stored)
+        if known_reports(same[:1], force=True):
+            yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
+            return
+    (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
+    if not isinstance(first.result, UserError):
+        yield first
+        if dives[1:]:
+            yield from outcomes_as_planned(with_options(dives[1:]), jobs, None, force=force, rerun=rerun)
+        return
+    try:
+        with progress("finding the settings", REPLAY, compiling()):
+            found = find_settings(
+                [dive.logs for dive in dives], dives[0].options.config, allow_damaged=dives[0].options.allow_damaged
+            )
+    except UserError as error:
+        if not isinstance(first.result, MisfitError):
+            yield replace(first, result=error)
+            dives = dives[1:]
+        if dives:
+            yield from outcomes_as_planned(with_options(dives), jobs, None, force=force, rerun=rerun)
+        return
+    found_for = with_options(dives, config=found.config, found=found.notes, vehicle=found.text)
+    yield from outcomes_as_planned(found_for, jobs, None, force=force, rerun=rerun)
+
+
+def is_finding(note: "Note") -> bool:
+    """Return whether a note reports settings that were found."""
+    return note.code.startswith("found_")
+
+
+def log_findings(notes: "Sequence[Note]", target: Path, *, shows: bool) -> None:
+    """Print what was found or assumed of a vehicle without settings, the most doubtful first."""
+    from insdvl_replay.cli.messages import log_to_stderr
+
+    findings = [note for note in notes if is_finding(note) and shows]
+    for note in findings:
+        log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
+    if findings:
+        log_to_stderr(f"to repeat it: -c {target / 'vehicle.toml'}")
+
+
 def outcomes(
     dives: "Sequence[ReplayJob]", jobs: int, scheduler: str | None, *, force: bool, rerun: bool
 ) -> "Generator[Outcome, None, None]":
     """Replay what has changed, and show the progress on a terminal."""
+    if dives[0].options.require_fit:
+        yield from outcomes_without_settings(dives, jobs, force=force, rerun=rerun)
+        return
+    yield from outcomes_as_planned(dives, jobs, scheduler, force=force, rerun=rerun)
+
+
+def outcomes_as_planned(
+    dives: "Sequence[ReplayJob]", jobs: int, scheduler: str | None, *, force: bool, rerun: bool
+) -> "Generator[Outcome, None, None]":
+    """Replay dives with the settings of their jobs."""
     from insdvl_replay.batch.jobs import known_reports, replay_jobs
     from insdvl_replay.batch.workers import cluster_pool, local_pool
     from insdvl_replay.cli.messages import log_notes

@@ -277,7 +277,7 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
     strongest = int(np.argmax(np.abs(force)))
     felt = f"the specific force is along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
     # Accelerometers may show the opposite of a force: sign is -1 then.
-    upright, opposite = ([(axes, sign) for axes in _level_axes(sign * force)] for sign in (1.0, -1.0))
+    upright, opposite = ([(axes, sign) for axes in level_axes(sign * force)] for sign in (1.0, -1.0))
     possible = [upright[0], opposite[0], *upright[1:], *opposite[1:]]
     words = [(axes_text(axes), axes_text(sign * axes)) for axes, sign in possible]
     fits = []
@@ -312,7 +312,7 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
         yield Setting("imu.specific_force_axes", force_axes, "the accelerometers have the opposite sign")
 
 
-def _level_axes(force: Floats) -> list[Floats]:
+def level_axes(force: Floats) -> list[Floats]:
     """List the right-handed axes in which gravity is felt upwards, as a level vehicle feels it, the likeliest first."""
     strongest = int(np.argmax(np.abs(force)))
     down = np.zeros(3)

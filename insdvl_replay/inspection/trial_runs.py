@@ -4,7 +4,7 @@ The log is replayed with the settings proposed so far. An unknown heading or lat
 DVL's innovations hardly depend on them.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -80,7 +80,7 @@ def settings_file(
     settings: list[Setting] = []
     # What -c, --set and --preset said, so that the file is whole; topics and filters are added below.
     for section, now in msgspec.structs.asdict(config).items():
-        given = _changed(now, getattr(default, section)) if isinstance(now, Struct) else {}
+        given = changed_keys(now, getattr(default, section)) if isinstance(now, Struct) else {}
         settings += [Setting(f"{section}.{name}", value, "as given") for name, value in given.items()]
     settings += proposal.settings
     draft = with_settings(config, settings)
@@ -96,17 +96,10 @@ def settings_file(
         warnings = [f"{name}: {note.text}" for name, note in notes if note.severity == Severity.WARNING]
     decisions = undecided_keys(settings)
     for name, topic in config.topics.items():
-        own = _changed(topic, Topic(topic="", values=""))
+        own = changed_keys(topic, Topic(topic="", values=""))
         settings += [Setting(f"topics.{name}.{key}", value) for key, value in own.items()]
-    filters = _preset_config(preset, config).filters
-    seen = f"Preset {preset}." if preset else ""
-    for name, filter_ in filters.items() if filters != default.filters else ():
-        own = _changed(filter_, Filter(aiding=()))
-        if filter_.acceleration is not None:
-            own["acceleration"] = _changed(filter_.acceleration, Acceleration(), ("model", "window"))
-        for key, value in own.items():
-            settings.append(Setting(f"filters.{name}.{key}", value, seen))
-            seen = ""
+    filters = preset_config(preset, config).filters
+    settings += filter_settings(filters, f"Preset {preset}." if preset else "") if filters != default.filters else []
     head = [
         f"insdvl-replay {__version__} inspect --propose: {listed([dive.name for dive in read] or [first.name])}",
         *(f"blocker: {failure.message}; {failure.hint}" for failure in failures),
@@ -133,13 +126,24 @@ def _readable(
     return dives, failures
 
 
-def _changed(section: Struct, default: Struct, always: Sequence[str] = ()) -> dict[str, Any]:
+def changed_keys(section: Struct, default: Struct, always: Sequence[str] = ()) -> dict[str, Any]:
     """Return the keys of a section that are not as they are by default."""
     values = {key: getattr(section, key) for key in section.__struct_fields__}
     return {key: value for key, value in values.items() if key in always or value != getattr(default, key)}
 
 
-def _preset_config(preset: str, config: Config) -> Config:
+def filter_settings(filters: Mapping[str, Filter], seen: str = "") -> Iterator[Setting]:
+    """Write all filters as settings."""
+    for name, filter_ in filters.items():
+        own = changed_keys(filter_, Filter(aiding=()))
+        if filter_.acceleration is not None:
+            own["acceleration"] = changed_keys(filter_.acceleration, Acceleration(), ("model", "window"))
+        for key, value in own.items():
+            yield Setting(f"filters.{name}.{key}", value, seen)
+            seen = ""
+
+
+def preset_config(preset: str, config: Config) -> Config:
     """Set noise and filters of a preset in a configuration; none changes nothing."""
     if not preset:
         return config
@@ -162,7 +166,7 @@ def trial_runs(dives: Sequence[Dive], config: Config) -> tuple[list[Setting], st
         preset, settings = imu_class(dives[0].imu, initial)
     if config.dvl.lever_arm_m == Dvl().lever_arm_m:
         settings.append(Setting("dvl.lever_arm_m", config.dvl.lever_arm_m, open=_ARM_OPEN))
-    tried = with_settings(_preset_config(preset, config), settings)
+    tried = with_settings(preset_config(preset, config), settings)
     startable = msgspec.structs.replace(
         tried.initial,
         heading_deg=0.0 if initial.heading_deg in (None, FIT) else initial.heading_deg,

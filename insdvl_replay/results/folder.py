@@ -26,6 +26,8 @@ REPLAY_LOG: Final = "replay.mcap"
 TRAJECTORY_FILE: Final = "trajectory.npz"
 """Every filter once a second."""
 REFERENCE_TRAJECTORY: Final = "reference.tum"
+VEHICLE_FILE: Final = "vehicle.toml"
+"""Settings that were found, if nobody made them."""
 MAPS: Final = {"kml": "tracks.kml", "geojson": "tracks.geojson"}
 """Files of all tracks of a dive, by format."""
 LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")

@@ -50,7 +50,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     force_axes, force_key = axes, "imu.axes"
     if settings.specific_force_axes is not None:
         force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
-    force, rate = _measured(table, "specific_force", "force"), _measured(table, "angular_rate", "rate")
+    force, rate = measured_vectors(table, "specific_force", "force"), measured_vectors(table, "angular_rate", "rate")
     specific_force_b = in_frd(force, force_axes, force_key, force_unit)
     angular_rate_b = in_frd(rate, axes, "imu.axes", rate_unit)
     cleaner = Cleaner(table)
@@ -73,7 +73,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     return imu, cleaner.notes
 
 
-def _measured(table: Table, quantity: str, short: str) -> Floats:
+def measured_vectors(table: Table, quantity: str, short: str) -> Floats:
     """Return a vector, NaN where its message says by a negative variance that it is not measured.
 
     What is given with an interval in microseconds is an increment over it; one over no time is NaN.

@@ -1,0 +1,263 @@
+"""Trials of what an IMU and a DVL could be: which topics, units, axes and signs give the smallest innovations.
+
+A trial is one run of the baseline over a stretch of the dive, with coarse noise, thinned readings and pings. It starts
+level, with any heading, and needs no reference. Its cost is the robust mean square of the innovations. All trials of
+a dive share the noise, so their costs can be compared.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay.calibration.fit import possible_axes, robust_cost
+from insdvl_replay.calibration.innovations import NO_CHANGE, ReadDive
+from insdvl_replay.checks.dvl import dvl_by_velocity
+from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, seconds
+from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.runtime import parallel_map
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.inspection.proposal import axes_text, level_axes
+from insdvl_replay.logs.columns.imu import FRD, in_frd
+
+STRETCH_S: Final = 240.0
+IMU_STEP_S: Final = 0.04
+PING_STEP_S: Final = 0.5
+COARSE: Final = Noise(
+    accel_white_mps_rts=0.01, gyro_white_rad_rts=2e-4, accel_bias_walk_mps2_rts=1e-5, gyro_bias_walk_radps_rts=1e-7
+)
+CLEARLY: Final = 0.8  # ratio of costs below which another hypothesis is better
+COHERENT: Final = 0.95
+STRANGE: Final = 0.6  # the same for single signs and other scales, which are rare
+SETTLED: Final = 0.25  # cost of a trial that leaves nothing to find: innovations of half the coarse noise
+CONSISTENT: Final = 1.0  # cost of a trial whose innovations are as large as the coarse noise expects
+FAST_RADPS: Final = 0.6  # vehicles turn faster rarely, so that faster rates may be in deg/s
+NOT_FAR_OFF: Final = 4.0  # ratio to the least cost of all IMUs above which one is not looked at further
+BEST: Final = 4  # hypotheses of axes that get single signs and scales tried
+# Ratios of measured to true rate that are tried; deg/s are tried by themselves.
+SCALES: Final = (0.3, 0.4, 0.5, 0.6, 0.7, 0.83, 1.2, 1.44, 1.7, 2.0, 2.5, 3.3)
+DEG_PER_S: Final = 1.0 / DEG
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """How an IMU and a DVL could be mounted and scaled, from readings in the axes of the instruments."""
+
+    axes: str = FRD  # of the gyros
+    force_axes: str = FRD
+    rate_scale: float = 1.0  # measured over true
+    rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the DVL
+    cost: float = np.inf
+
+    def applied(self, imu: ImuColumns) -> ImuColumns:
+        """Bring readings to the axes of the body."""
+        return replace(
+            imu,
+            specific_force_b=in_frd(imu.specific_force_b, self.force_axes, "imu.specific_force_axes"),
+            angular_rate_b=in_frd(imu.angular_rate_b, self.axes, "imu.axes", 1.0 / self.rate_scale),
+        )
+
+
+def thinned(dive: Dive) -> Dive:
+    """Return the liveliest stretch of a dive, with averaged IMU readings and fewer pings."""
+    imu, dvl = dive.imu, dive.dvl
+    size = max(1, round(IMU_STEP_S / imu.usual_step_s))
+    blocks = len(imu.time_ns) // size
+    time_ns = imu.time_ns[: blocks * size].reshape(blocks, size)
+    middle_ns = time_ns[:, 0] + ((time_ns - time_ns[:, :1]).mean(axis=1)).astype(np.int64)
+    force, rate = (
+        readings[: blocks * size].reshape(blocks, size, 3).mean(axis=1)
+        for readings in (imu.specific_force_b, imu.angular_rate_b)
+    )
+    apart = np.append(True, np.diff((dvl.time_ns - dvl.time_ns[0]) // int(PING_STEP_S * NS_PER_S)) > 0)
+    imu, dvl = ImuColumns(middle_ns, force, rate), dvl.rows(apart)
+    first_ns, last_ns = max(middle_ns[0], dvl.time_ns[0]), min(middle_ns[-1], dvl.time_ns[-1])
+    length_ns = int(STRETCH_S * NS_PER_S)
+    if last_ns - first_ns > length_ns:
+        # Where the vehicle turns and surges most.
+        turning = np.linalg.norm(rate - np.median(rate, axis=0), axis=1)
+        surging = np.linalg.norm(force - np.median(force, axis=0), axis=1)
+        lively = np.cumsum(turning / max(np.mean(turning), 1e-9) + surging / max(np.mean(surging), 1e-9))
+        starts_ns = np.arange(first_ns, last_ns - length_ns, length_ns // 4)
+        gained = [np.diff(lively[np.searchsorted(middle_ns, [at, at + length_ns]) - 1])[0] for at in starts_ns]
+        first_ns = int(starts_ns[int(np.argmax(gained))])
+        last_ns = first_ns + length_ns
+    return replace(dive, imu=imu.within(first_ns, last_ns), dvl=dvl.within(first_ns, last_ns), reference=None)
+
+
+def trial_config(config: Config, latitude_deg: float) -> Config:
+    """Return the settings of trials: level start, coarse noise, the DVL as it is read."""
+    return msgspec.structs.replace(
+        config,
+        dvl=msgspec.structs.replace(
+            config.dvl, lever_arm_m=Dvl().lever_arm_m, mounting_rpy_deg=Dvl().mounting_rpy_deg, velocity_sd_mps=0.03,
+            beam_sd_mps=None, latency_s=0.0, latency_of_dives_s=(),
+        ),
+        noise=COARSE,
+        initial=Initial(
+            source="level", heading_deg=0.0, latitude_deg=latitude_deg, accel_bias_sd_mg=20.0, gyro_bias_sd_degph=200.0
+        ),
+        span=Config().span,
+        filters={"baseline": Filter(aiding=("velocity",))},
+        evaluation=Config().evaluation,
+        topics={},
+    )  # fmt: skip
+
+
+def with_cost(tried: Hypothesis, dive: Dive, config: Config) -> Hypothesis:
+    """Run one trial."""
+    dvl = msgspec.structs.replace(config.dvl, mounting_rpy_deg=tried.rpy_deg)
+    read = ReadDive(replace(dive, imu=tried.applied(dive.imu)), msgspec.structs.replace(config, dvl=dvl))
+    try:
+        residuals = read.innovations().residuals(NO_CHANGE)
+    except UserError:
+        return replace(tried, cost=np.inf)
+    return replace(tried, cost=robust_cost(residuals) / residuals.size)
+
+
+class Trials:
+    """All trials of one thinned dive, whose readings are in the axes of the instruments."""
+
+    def __init__(self, dive: Dive, config: Config, as_read: Hypothesis) -> None:
+        self.dive, self.config, self.as_read = dive, config, as_read
+        fastest_radps = float(np.quantile(np.linalg.norm(dive.imu.angular_rate_b, axis=1), 0.99))
+        scales = [1.0, DEG_PER_S] if fastest_radps > FAST_RADPS else [1.0]
+        possible = [replace(one, rate_scale=scale) for scale in scales for one in mounted(dive, as_read)]
+        self.found = self._tried(possible)
+
+    @property
+    def cost(self) -> float:
+        """The least cost so far."""
+        return self.found[0].cost
+
+    @property
+    def ordered(self) -> list[Hypothesis]:
+        """All by their cost, but what is as read first where nothing is clearly better."""
+        original = [one for one in self.found if replace(one, cost=np.inf) == self.as_read][:1]
+        preferred = original if original and original[0].cost * CLEARLY <= self.cost else []
+        return [*preferred, *(one for one in self.found if one not in preferred)]
+
+    def _tried(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
+        costs = list(parallel_map(lambda hypothesis: with_cost(hypothesis, self.dive, self.config), list(hypotheses)))
+        return sorted(costs, key=lambda hypothesis: hypothesis.cost)
+
+    def _distinct(self, most: int) -> list[Hypothesis]:
+        """Return the best hypotheses that are not the same dive, turned about down."""
+        distinct: list[Hypothesis] = []
+        for one in self.found:
+            if all(abs(one.cost - other.cost) > 1e-3 * other.cost for other in distinct):
+                distinct.append(one)
+        return distinct[:most]
+
+    def _signed(self, rate_scale: float) -> Iterator[Hypothesis]:
+        """Yield all signs of the axes of the IMU as read, or of the first that is level, with each mounting."""
+        level = list(mounted(self.dive, self.as_read))
+        first = replace(level[0], rate_scale=rate_scale)
+        for rpy_deg in dict.fromkeys(one.rpy_deg for one in level):
+            for other in signed_rates(replace(first, rpy_deg=rpy_deg)):
+                yield from (other, *signed_forces(other))
+
+    def _accept(self, others: Iterable[Hypothesis]) -> None:
+        """Try strange hypotheses, and keep them where they are much better."""
+        tried = self._tried(others)
+        if tried and tried[0].cost < STRANGE * self.cost:
+            self.found = [*tried, *self.found]
+
+    def vary(self) -> None:
+        """Try single axes with another sign, and other scales."""
+        if self.cost < SETTLED:
+            return
+        others: list[Hypothesis] = []
+        if self.cost > CONSISTENT:
+            others = [other for scale in {one.rate_scale for one in self.found} for other in self._signed(scale)]
+        others += [other for one in self._distinct(BEST) for other in scaled(one)]
+        self._accept(others)
+        best = self.found[0]
+        self._accept([*signed_rates(best), *signed_forces(best), *scaled(best)])
+        # Refine the scale of the gyros, where another than that as read was better.
+        step = 0.1
+        for _ in range(3):
+            best = self.found[0]
+            if best.rate_scale in (1.0, DEG_PER_S):
+                return
+            factors = np.exp(np.array([-1.5, -0.75, 0.75, 1.5]) * step)
+            near = [replace(best, rate_scale=float(best.rate_scale * factor)) for factor in factors]
+            self.found = sorted([*self._tried(near), *self.found], key=lambda hypothesis: hypothesis.cost)
+            step /= 3.0
+
+
+def mounted(dive: Dive, as_read: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield the axes in which a level vehicle feels gravity, with each mounting of a DVL that looks down or up."""
+    force = np.median(dive.imu.specific_force_b, axis=0)
+    turns = [turn for turn in possible_axes(dive.dvl) if dive.dvl.look_d is not None or turn[2, 2]]
+    mountings = [rpy_of(turn) for turn in turns]
+    mountings.sort(key=lambda rpy_deg: (rpy_deg[0], abs(rpy_deg[2])))
+    ways = [(axes_text(axes), axes_text(sign * axes)) for sign in (1.0, -1.0) for axes in level_axes(sign * force)]
+    # Together with the mountings, one turn about down says the same as another: as read comes first.
+    ways.sort(key=lambda way: way != (as_read.axes, as_read.force_axes))
+    for axes, force_axes in ways:
+        yield from (Hypothesis(axes, force_axes, 1.0, rpy_deg) for rpy_deg in mountings)
+
+
+def rpy_of(turn: Floats) -> tuple[float, float, float]:
+    """Return roll, pitch and heading of a turn by right angles, deg."""
+    roll, pitch, heading = np.rint(rpy_from_mat(turn) / DEG + 0.0).tolist()
+    return roll + 0.0, pitch + 0.0, heading + 0.0
+
+
+def signed_rates(one: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield a hypothesis with each sign of the gyros."""
+    for signs in product((1.0, -1.0), repeat=3):
+        yield replace(one, axes=axes_text(np.diag(signs) @ _map_of(one.axes)))
+
+
+def signed_forces(one: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield a hypothesis with other signs of the level accelerometers."""
+    for x, y in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)):
+        yield replace(one, force_axes=axes_text(np.diag([x, y, 1.0]) @ _map_of(one.force_axes)))
+
+
+def scaled(one: Hypothesis) -> Iterator[Hypothesis]:
+    """Yield a hypothesis with other scales of the gyros."""
+    yield from (replace(one, rate_scale=one.rate_scale * scale) for scale in SCALES)
+
+
+def _map_of(axes: str) -> Floats:
+    return in_frd(np.eye(3), axes, "imu.axes").T
+
+
+def turned_about_down(hypothesis: Hypothesis, quarters: int) -> Hypothesis:
+    """Turn IMU and DVL together, so that the cost stays: by quarters of a circle towards starboard."""
+    turn = np.rint(mat_from_rpy(np.array([0.0, 0.0, 90.0 * quarters]) * DEG))
+    return replace(
+        hypothesis,
+        axes=axes_text(turn @ _map_of(hypothesis.axes)),
+        force_axes=axes_text(turn @ _map_of(hypothesis.force_axes)),
+        rpy_deg=rpy_of(turn @ mat_from_rpy(np.array(hypothesis.rpy_deg) * DEG)),
+    )
+
+
+def quarters_to_reference(dive: Dive, config: Config) -> int:
+    """Return by how many quarters the body has to turn for the DVL to measure as the reference moves; 0 if unknown."""
+    if dive.reference is None:
+        return 0
+    fit = dvl_by_velocity(dive.dvl, dive.reference, config)
+    return 0 if fit is None or fit.coherence < COHERENT else -round(fit.turn / (90.0 * DEG))
+
+
+def rates_compared(imu: ImuColumns, other: ImuColumns) -> tuple[float, float]:
+    """Return how much larger the rates of another IMU are, and their correlation, whatever its axes are."""
+    at_s, other_s = seconds(imu.time_ns, imu.time_ns[0]), seconds(other.time_ns, imu.time_ns[0])
+    inside = (at_s >= other_s[0]) & (at_s <= other_s[-1])
+    ours = imu.angular_rate_b[inside]
+    theirs = np.column_stack([np.interp(at_s[inside], other_s, column) for column in other.angular_rate_b.T])
+    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    turn, *_ = np.linalg.lstsq(ours, theirs, rcond=None)
+    explained = float(np.sum((ours @ turn) ** 2) / max(np.sum(theirs**2), 1e-30))
+    main = np.linalg.svd(turn, compute_uv=False)
+    return float(np.median(main)), float(np.sqrt(explained))

@@ -1,0 +1,81 @@
+"""`run` without settings: what is found for logs that cannot be replayed as they are, and how it is reported."""
+
+import json
+from pathlib import Path
+
+import damaged
+import pytest
+
+from insdvl_replay import replay_log
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.inspection.automatic import find_settings
+from insdvl_replay.logs import write_dive
+from insdvl_replay.replay import LEAST_NIS, MOST_NIS
+from insdvl_replay.replay import replay_log as replayed
+from insdvl_replay.sim.dive import simulate_dive
+
+
+@pytest.fixture(scope="module")
+def good() -> Dive:
+    return damaged.velocities_alone(simulate_dive("calibration", duration_s=300.0, seed=4, grade="tactical"))
+
+
+def written(dive: Dive, damage: str, folder: Path) -> Path:
+    log = folder / "dive.mcap"
+    write_dive(log, damaged.DAMAGES[damage](dive))
+    return log
+
+
+def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
+    good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = written(good, "mg, flu and deg/s", tmp_path)
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert run_command_line(["run", str(log), "-o", str(first), "--starts", "1"]) == 0
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith(("found:", "assumed:"))]
+    assert 3 <= len(lines) < 8
+    report = json.loads((first / "dive" / "report.json").read_text())
+    nis = next(row for row in report["tables"]["consistency"] if row["measurement"] == "velocity")
+    assert LEAST_NIS < nis["mean_nis"] / nis["dof"] < MOST_NIS
+    assert report["config"]["imu"]["axes"] == "flu"
+    assert report["config"]["imu"]["specific_force_unit"] == "mg"
+    assert report["config"]["imu"]["angular_rate_unit"] == "deg/s"
+    assert {"found_imu", "found_dvl", "found_calibration"} <= {note["code"] for note in report["notes"]}
+    vehicle = str(first / "dive" / "vehicle.toml")
+    assert run_command_line(["run", str(log), "-o", str(second), "-c", vehicle]) == 0
+    assert json.loads((second / "dive" / "report.json").read_text())["tables"] == report["tables"]
+    # The stored settings are used again.
+    assert run_command_line(["run", str(log), "-o", str(first), "--starts", "1"]) == 0
+    assert "unchanged" in capsys.readouterr().err
+
+
+def test_no_auto_stops(good: Dive, tmp_path: Path) -> None:
+    log = written(good, "deg/s", tmp_path)
+    assert run_command_line(["run", str(log), "-o", str(tmp_path / "out"), "--no-auto"]) == LogError.exit_code
+    assert not (tmp_path / "out").exists()
+
+
+def test_python_finds_the_same_settings(good: Dive, tmp_path: Path) -> None:
+    log = written(good, "DVL 90.0", tmp_path)
+    result = replay_log(log, load_config(overrides=["evaluation.starts=1"]), auto=True)
+    assert result.report.config["dvl"]["mounting_rpy_deg"][2] == pytest.approx(90.0, abs=0.5)
+
+
+@pytest.mark.parametrize("damage", ["accelerometers -x+y+z", "gyros +x+y-z", "gyro scale 0.6", "IMU 0.3 s late"])
+@pytest.mark.nightly
+def test_signs_scales_and_late_stamps_are_found(damage: str, good: Dive, tmp_path: Path) -> None:
+    log = written(good, damage, tmp_path)
+    config = load_config(overrides=["evaluation.starts=1"])
+    size, drift_m = damaged.measured(replayed(log, find_settings([[log]], config).config))
+    assert LEAST_NIS < size < MOST_NIS
+    assert drift_m < 1.5
+
+
+def test_a_vehicle_at_rest_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "static.mcap"
+    write_dive(log, damaged.velocities_alone(simulate_dive("static", duration_s=60.0)))
+    with pytest.raises(LogError, match="too slow to find settings"):
+        find_settings([[log]], load_config())
