@@ -21,7 +21,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive

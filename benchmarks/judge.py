@@ -30,8 +30,8 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.history import History
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.core.words import Verdict
+from insdvl_replay.evaluation.answers import pooled_candidate
 from insdvl_replay.evaluation.reference_errors import reference_errors
-from insdvl_replay.evaluation.verdicts import pooled_candidate
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import prepare_dive, read_checked_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one

@@ -517,8 +517,9 @@ class DiveResult(Result):
         import msgspec
 
         from insdvl_replay.results.trajectory import paper_figure
-        from insdvl_replay.show.paper import paper_canvas
+        from insdvl_replay.show.paper import paper_canvas, require_width
 
+        require_width(width_mm, f"width_mm={width_mm}")
         reference = self.reference if kind == "track" else None
         rows = msgspec.to_builtins(self.report.tables)
         return paper_canvas(paper_figure(kind, self._trajectory, rows, states, reference), width_mm)
@@ -559,9 +560,9 @@ class DiveResults(CommandResult):
     @property
     def words(self) -> dict[str, str]:
         """The verdict of all dives together on each candidate that at least two of them have."""
-        from insdvl_replay.show.dives import pooled_candidates
+        from insdvl_replay.show.answers import pooled_answers
 
-        return {found.name: str(found.verdict) for found in pooled_candidates(self._reports)}
+        return {found.filter: str(found.verdict) for found in pooled_answers(self._reports)}
 
     @property
     def _reports(self) -> list[Report]:

@@ -23,8 +23,8 @@ from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import Result
 from insdvl_replay.core.states import NINE
 from insdvl_replay.core.tables import PooledRow, finite
+from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.evaluation.ensemble import Ensemble
-from insdvl_replay.evaluation.verdicts import pooled_evidence
 from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo

@@ -6,29 +6,49 @@ evidence of a candidate over several dives is. Of a single dive, its errors over
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Final, NamedTuple
+from typing import Annotated, Final, NamedTuple
 
 import msgspec
+import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, DRIFT_QUANTITIES, FEWEST_DIVES, label
+from insdvl_replay.core.errors import counted
+from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, DRIFT_QUANTITIES, FEWEST_DIVES
 from insdvl_replay.core.result import PAGE, PRINTED, Callout, DisplayTable, Only, Part, StoredReport, StoredResult
 from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, Verdict
+from insdvl_replay.core.words import Verdict
+from insdvl_replay.evaluation import answers
+from insdvl_replay.evaluation.answers import (
+    AGAINST,
+    DECIDED,
+    may_decide,
+    pooled_candidate,
+    pooled_sentence,
+    verdict_of,
+    would_settle,
+)
+from insdvl_replay.evaluation.series import paired_ratio, verdict_of_interval
 from insdvl_replay.results.folder import TRAJECTORY_FILE
-from insdvl_replay.show.document import MISSING, Column, counted, significant, table_of
-
-if TYPE_CHECKING:
-    # Statistics and pages need scipy, and are imported where they are needed.
-    from insdvl_replay.show.forest import ForestRow
+from insdvl_replay.results.trajectory import read_trajectory
+from insdvl_replay.show.answers import (
+    TONES,
+    evidence_text,
+    interval_text,
+    ratio_text,
+    reason_undecided,
+    shouted,
+    verdict_with_reason,
+)
+from insdvl_replay.show.document import Column, table_of
+from insdvl_replay.show.first_screen import by_dive_forest, evidence_forest, first_screen, section
+from insdvl_replay.show.forest import ForestRow, change_of_value
 
 OLD: Final = "before"  # name of the old side in sentences
-_MANY_TIMES: Final = 3.0  # a larger ratio is written in times
+# Evidence of a single dive: columns of its trajectory, with their units.
 _OVER_TIME: Final = {"position": ("position_error_m", "m"), "velocity": ("velocity_error_mps", "m/s")}
-"""Evidence of a single dive: columns of its trajectory, with their units."""
 _NO_CHANGE: Final = 0.01  # of every value that decides: so small a change on a dive is none
-_MOST_DRAWN, _MOST_DIVES = 8, 20  # rows of the forest plots
+_MOST_DRAWN: Final = 8  # rows of the forest plot
 
 
 class DiveChange(Struct, frozen=True):
@@ -42,14 +62,10 @@ class DiveChange(Struct, frozen=True):
     ratio: Number
 
 
-class Answer(Struct, frozen=True):
+class Answer(answers.Answer[PooledRow], frozen=True, kw_only=True):
     """One filter, new against old."""
 
-    filter: str
-    verdict: Verdict
     sentence: str
-    dives: Annotated[int, Meta(description="dives that both sides have")]
-    evaluated: Annotated[int, Meta(description="of them, those in which the filter is evaluated on a side")]
     lost: Annotated[int, Meta(description="dives in which only the old side is evaluated")]
     largest_change: Annotated[Number, Meta(description="largest relative change of a value that decides, on any dive")]
     rows: Annotated[tuple[PooledRow, ...], Meta(description="old values are in baseline, new ones in value")]
@@ -68,13 +84,6 @@ class Answer(Struct, frozen=True):
         """Whether it fails `--fail-on worse`: worse, partly worse, or lost on a dive."""
         return self.verdict in (Verdict.WORSE, Verdict.MIXED) or self.lost > 0
 
-    @property
-    def spoken(self) -> list[PooledRow]:
-        """The rows that made the verdict, or could have."""
-        from insdvl_replay.evaluation.verdicts import spoken_of
-
-        return spoken_of(self.verdict, self.rows, (*_OVER_TIME, *DECIDING_TOGETHER))
-
 
 class _Value(NamedTuple):
     evidence: str
@@ -88,8 +97,6 @@ Pairs = Sequence[tuple[StoredResult, StoredResult]]
 
 def answers_of(pairs: Pairs) -> tuple[Answer, ...]:
     """Compare each filter that both sides have with itself, over all dives."""
-    from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
-
     values = [(_measured(old.report), _measured(new.report)) for old, new in pairs]
     found = []
     for name in dict.fromkeys(name for old, new in values for name in new if name in old):
@@ -104,14 +111,17 @@ def answers_of(pairs: Pairs) -> tuple[Answer, ...]:
             sizes, default=0.0 if all(old.report.tables == new.report.tables for old, new in pairs) else math.inf
         )
         pooled = pooled_candidate(name, OLD, evidence, len(having))
-        verdict, rows, sentence = pooled.verdict, pooled.rows, pooled_sentence(pooled)
-        if largest == 0.0 or (largest < _NO_CHANGE and len(evaluated) < FEWEST_DIVES):
-            verdict, sentence = Verdict.EQUIVALENT, f"{name} {_is_same(largest)}."
+        answer = Answer(
+            filter=name, baseline=OLD, verdict=pooled.verdict, dives=len(having), evaluated=len(evaluated), lost=lost,
+            largest_change=largest, rows=pooled.rows, sentence=pooled_sentence(pooled),
+        )  # fmt: skip
+        if answer.is_same:
+            answer = replace(answer, verdict=Verdict.EQUIVALENT, sentence=f"{name} {_is_same(largest)}.")
         elif len(having) == len(evaluated) == 1:
             over_time = tuple(_on_one_dive(name, *pairs[having[0]]))
-            rows = (*over_time, *(row for row in rows if row.quantity not in _OVER_TIME))
-            verdict, sentence = _answer_of_one_dive(name, over_time)
-        answer = Answer(name, verdict, sentence, len(having), len(evaluated), lost, largest, rows)
+            rows = (*over_time, *(row for row in pooled.rows if row.quantity not in _OVER_TIME))
+            answer = replace(answer, verdict=verdict_of(over_time), rows=rows)
+            answer = replace(answer, sentence=f"{name} {AGAINST[answer.verdict]} {OLD} on this dive: {answer.measured}")
         found.append(replace(answer, by_dive=tuple(_dive_by_dive(answer, evidence))))
     # What is not finite is missing, as in JSON.
     return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
@@ -182,11 +192,6 @@ def _is_same(largest: float) -> str:
 
 def _on_one_dive(name: str, old: StoredResult, new: StoredResult) -> Iterator[PooledRow]:
     """Compare the errors of a filter over the time of one dive, if there is a reference."""
-    import numpy as np
-
-    from insdvl_replay.evaluation.series import paired_ratio, verdict_of_interval
-    from insdvl_replay.results.trajectory import read_trajectory
-
     before, after = (read_trajectory(side.folder / TRAJECTORY_FILE) for side in (old, new))
     if before is None or after is None or not (name in before.names and name in after.names):
         return
@@ -204,22 +209,11 @@ def _on_one_dive(name: str, old: StoredResult, new: StoredResult) -> Iterator[Po
             )  # fmt: skip
 
 
-def _answer_of_one_dive(name: str, rows: Sequence[PooledRow]) -> tuple[Verdict, str]:
-    from insdvl_replay.evaluation.verdicts import AGAINST, verdict_of
-
-    verdict = verdict_of(rows, tuple(_OVER_TIME))
-    first = next((row for row in rows if row.verdict == verdict), rows[0] if rows else None)
-    text = "there is no evidence" if first is None else f"{label(first.quantity)} {change_in_words(first)}"
-    return verdict, f"{name} {AGAINST[verdict]} {OLD} on this dive: {text}."
-
-
 # --- Show.
 
 
 def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
     """Return a line for each filter: its verdict and the evidence that made it, or could have."""
-    from insdvl_replay.show.dive import TONES, shouted
-
     words = [(answer.filter, shouted(answer.verdict)) for answer in answers]
     widths = [max(map(len, column)) for column in zip(*words, strict=True)]
     lines = []
@@ -231,36 +225,13 @@ def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
 
 def _said(answer: Answer) -> str:
     """Write the evidence of an answer: the row that made it, both for a mixed one; or what would decide."""
-    from insdvl_replay.evaluation.verdicts import would_settle
-
     if answer.is_same:
         return _is_same(finite(answer.largest_change))
     if answer.verdict == Verdict.NOT_EVALUATED:
         return f"evaluated in only {answer.evaluated} of {counted(answer.dives, 'dive')}"
-    pieces, spoken = [], answer.spoken
-    for row in spoken if answer.verdict == Verdict.MIXED else spoken[:1]:
-        size, won = ("smaller", row.dives_won) if finite(row.ratio) <= 1.0 else ("larger", row.dives - row.dives_won)
-        of_dives = "" if row.dives == 1 or answer.verdict == Verdict.EQUIVALENT else f", {size} in {won} of {row.dives}"
-        pieces.append(f"{label(row.quantity)} {change_in_words(row)}{of_dives}")
-    if spoken and answer.verdict == Verdict.UNDECIDED:
-        needed = would_settle(answer.verdict, answer.rows, DECIDING_TOGETHER)
-        pieces.append(f"at least {FEWEST_DIVES} dives decide" if answer.evaluated < FEWEST_DIVES else needed)
-    pieces.append(f"no longer evaluated in {answer.lost} of {answer.dives}" if answer.lost else "")
-    return "; ".join(filter(None, pieces)) or "no evidence"
-
-
-def change_in_words(row: PooledRow) -> str:
-    """Write a ratio with its interval in percent, a large one in times."""
-    ratio, low, high = map(finite, (row.ratio, row.low, row.high))
-    low = math.nan if 1 < row.dives < FEWEST_DIVES else low  # the interval of two dives says nothing
-    if math.isnan(ratio):
-        return MISSING
-    if ratio >= _MANY_TIMES:
-        return f"x {ratio:.3g}{'' if math.isnan(low) else f' [{low:.3g}, {high:.3g}]'}"
-    pct, low_pct, high_pct = (100.0 * (value - 1.0) for value in (ratio, low, high))
-    digits = 0 if max(abs(pct), finite(abs(high_pct))) >= 100.0 else 1
-    ends = "" if math.isnan(low) else f" [{low_pct:+z.{digits}f}, {high_pct:+z.{digits}f}]"
-    return f"{pct:+z.{digits}f} %{ends}"
+    lost = f"no longer evaluated in {answer.lost} of {answer.dives}" if answer.lost else ""
+    found = evidence_text(answer), reason_undecided(answer), would_settle(answer.verdict, answer.known), lost
+    return "; ".join(filter(None, found))
 
 
 _COLUMNS: Final[tuple[Column, ...]] = (
@@ -269,78 +240,46 @@ _COLUMNS: Final[tuple[Column, ...]] = (
     ("", "l", "unit"),
     ("old", "r", "baseline:value"),
     ("new", "r", "value:value"),
-    ("change", "r", change_in_words),
-    ("smaller", "r", lambda row: f"{row.dives_won}/{row.dives}"),
-    ("", "l", "verdict"),
+    ("ratio", "r", lambda row: ratio_text(row.ratio)),
+    ("over dives", "r", interval_text),
+    ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+    ("", "l", verdict_with_reason),
 )
 
 
 def answer_table(answers: Sequence[Answer], *, everything: bool) -> Iterator[DisplayTable]:
     """Return the evidence behind the answers: all rows, or those that are better or worse and have a vote."""
-    rows = [row for answer in answers for row in answer.rows if finite(row.ratio) >= 0.0]
-    words = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
-    kept = [row for row in rows if everything or (row.verdict in words and row.quantity in DECIDING_TOGETHER)]
+    rows = [row for answer in answers for row in answer.known]
+    kept = [row for row in rows if everything or (row.verdict in DECIDED and may_decide(row))]
     left = len(rows) - len(kept)
-    footnote = "old, new: medians over the dives. change: geometric mean over the dives, with its 95 % interval."
+    footnote = "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
     footnote += f" {left} more rows without a change that decides: -v" if left else ""
     if kept:
-        yield table_of("Evidence, new against old", kept, _COLUMNS, footnote, spare=(2, 6, 3, 4))
+        yield table_of("Evidence, new against old", kept, _COLUMNS, footnote, spare=(2, 7, 3, 4))
 
 
 def answer_screen(answers: Sequence[Answer]) -> list[Part]:
     """Return the answers: a line for each filter, on pages a section with forest plots."""
-    from insdvl_replay.show.first_screen import first_screen, section
-
-    sections = [
-        section(answer.verdict, answer.filter, OLD, [_sentence_of(answer)], list(_plots(answer))) for answer in answers
-    ]
     several = any(answer.dives > 1 for answer in answers)
     caption = f"Here new is over old.{' All dives: each is one sample.' if several else ''}"
-    page = first_screen(sections, caption)
+    page = first_screen([section(answer, [_sentence_of(answer)], [*_plots(answer)]) for answer in answers], caption)
     return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
 
 
 def _sentence_of(answer: Answer) -> str:
-    from insdvl_replay.show.first_screen import sentence_of_evidence
-
-    if answer.is_same or answer.dives == 1 or answer.verdict == Verdict.NOT_EVALUATED:
+    if answer.is_same or answer.verdict == Verdict.NOT_EVALUATED:
         return f"{_said(answer)}."
     lost = f" No longer evaluated in {answer.lost} of {counted(answer.dives, 'dive')}." if answer.lost else ""
-    return f"{sentence_of_evidence(answer.verdict, answer.rows)}{lost}"
+    return f"{answer.measured}{lost}"
 
 
 def _plots(answer: Answer) -> Iterator[str]:
     """Yield the forest plots of an answer: the evidence, and the dives one by one."""
-    from insdvl_replay.show.first_screen import evidence_forest
-    from insdvl_replay.show.forest import ForestRow, forest
-
-    if answer.dives == 1:
-        rows = [row for row in answer.rows if finite(row.ratio) > 0.0]
-        yield forest("This dive", [_forest_row(row, row in answer.spoken) for row in rows[:_MOST_DRAWN]])
-        return
-    yield evidence_forest("All dives", answer.verdict, answer.rows, _MOST_DRAWN)
-    dives = sorted((dive for dive in answer.by_dive if finite(dive.ratio) > 0.0), key=_effect)[-_MOST_DIVES:]
-    dives.sort(key=lambda dive: finite(dive.ratio))
-    drawn = [
-        ForestRow(
-            dive.log,
-            dive.ratio,
-            tone=Verdict.UNDECIDED,
-            text=f"{significant(dive.old, 3)} \N{RIGHTWARDS ARROW} {significant(dive.new, 3)} {dive.unit}",
-        )
-        for dive in dives
-    ]
-    name = label(answer.by_dive[0].quantity) if answer.by_dive else "evidence"
-    yield forest(f"{name[:1].upper()}{name[1:]}, dive by dive", drawn)
-
-
-def _forest_row(row: PooledRow, decides: bool) -> "ForestRow":
-    from insdvl_replay.show.forest import ForestRow
-
-    return ForestRow(
-        label(row.quantity), row.ratio, row.low, row.high, row.verdict, change_in_words(row), decides=decides
-    )
-
-
-def _effect(dive: DiveChange) -> float:
-    return abs(math.log(finite(dive.ratio)))
+    yield evidence_forest("This dive" if answer.dives == 1 else "All dives", answer, _MOST_DRAWN)
+    if answer.dives > 1:
+        rows = [
+            ForestRow(dive.log, dive.ratio, tone=Verdict.UNDECIDED, text=change_of_value(dive.old, dive.new, dive.unit))
+            for dive in answer.by_dive
+            if finite(dive.ratio) > 0.0
+        ]
+        yield by_dive_forest(answer.by_dive[0].quantity if answer.by_dive else "", rows)

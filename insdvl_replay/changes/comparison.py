@@ -469,7 +469,7 @@ def _title(comparison: Comparison) -> str:
         text for place, text in enumerate(texts) if place and len(", ".join(texts[: place + 1])) < _LINE
     ]
     more = f" and {len(texts) - len(named)} more settings" if len(texts) > len(named) else ""
-    return f"{', '.join(named) or 'same settings'}{more}: {what}, {comparison.new} against {comparison.old}"
+    return f"{', '.join(named) or 'same settings'}{more}: {what}, new: {comparison.new}, old: {comparison.old}"
 
 
 def _changed_settings(comparison: Comparison) -> list[str]:

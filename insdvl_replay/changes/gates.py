@@ -158,7 +158,7 @@ def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
     """Return the pooled evidence of all dives as one result."""
-    from insdvl_replay.evaluation.verdicts import pooled_evidence
+    from insdvl_replay.evaluation.answers import pooled_evidence
 
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:

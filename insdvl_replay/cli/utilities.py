@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
-NARROWEST_MM, WIDEST_MM = 60.0, 1000.0
 SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check")
 """Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
 of the other commands."""
@@ -210,7 +209,6 @@ def json_schema(name: str) -> bytes:
     import msgspec
 
     from insdvl_replay.calibration.rows import TABLES as CALIBRATION
-    from insdvl_replay.changes.comparison import Comparison
     from insdvl_replay.changes.formats import CheckReport
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Report, ResultJson, as_json
@@ -222,9 +220,12 @@ def json_schema(name: str) -> bytes:
         "report": Report,
         "inspection": Inventory,
         "study": ResultJson,
-        "comparison": Comparison,
         "check": CheckReport,
     }
+    if name == "comparison":  # the other schemas do not wait for scipy
+        from insdvl_replay.changes.comparison import Comparison
+
+        kinds[name] = Comparison
     schema = msgspec.json.schema(kinds[name]) if name in kinds else result_schema(CALIBRATION)
     described: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -371,7 +372,9 @@ def figure(
 
 
 def _width_mm(text: str) -> float:
+    from insdvl_replay.show.paper import require_width
+
     found = re.fullmatch(r"(\d+(?:\.\d+)?) ?(?:mm)?", text)
-    if found is None or not NARROWEST_MM <= float(found[1]) <= WIDEST_MM:
-        raise ConfigError(f"--width {text}: is not a width from {NARROWEST_MM:g} to {WIDEST_MM:g} mm", "--width 88mm")
-    return float(found[1])
+    width_mm = float(found[1]) if found else math.nan
+    require_width(width_mm, f"--width {text}")
+    return width_mm

@@ -124,9 +124,9 @@ TRACK: Final = {
 _NO_VOTE: Final = ("depth_60s", f"{HELD_OUT}depth")
 # Quantities by which a candidate is better or worse.
 DECIDING: Final = (*(name for name in (*ACCURACY, *_OUTAGE, *HELD_OUT_QUANTITIES) if name not in _NO_VOTE),)
-# Those by which several dives decide. One dive is one sample of its track; and of the sensors, by which filters
-# converge.
-DECIDING_TOGETHER: Final = (*DECIDING, "position", "position_end", "depth", *_CONVERGENCE)
+# Those by which several dives decide, or one dive in two results. One dive is one sample of its track; and of the
+# sensors, by which filters converge.
+DECIDING_TOGETHER: Final = (*DECIDING, "position", "velocity", "position_end", "depth", *_CONVERGENCE)
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
 # Rows of evidence, each name once.
 EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_OUTAGE, *HELD_OUT_QUANTITIES, *_CONVERGENCE, "nis", "nees")

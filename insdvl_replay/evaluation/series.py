@@ -377,4 +377,4 @@ def what_settles(interval: RatioInterval, dives: int) -> str:
     if not needed > dives:
         return ""
     share = f"{100.0 * SETTLED:.0f} %"
-    return f"about {math.ceil(needed)} dives like {'this one' if dives == 1 else 'these'} would settle {share}"
+    return f"at least {math.ceil(needed)} dives like {'this one' if dives == 1 else 'these'} would settle {share}"

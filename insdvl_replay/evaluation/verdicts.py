@@ -2,12 +2,10 @@
 
 A sentence has three parts: what was measured, the predicted improvement, and the consistency of both filters.
 Filters that diverged or are misconfigured are not evaluated. No candidate of such a baseline is evaluated either.
-Of several dives, each dive is one pair, however long it is. The rules are the same as for one dive.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final, TypeVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from msgspec.structs import replace
@@ -19,15 +17,10 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     CONSISTENCY,
-    DECIDING,
-    DECIDING_TOGETHER,
-    EVIDENCE_QUANTITIES,
-    FEWEST_DIVES,
     IS_REFERENCE,
     VERDICTS_BEST_FIRST,
     is_beam,
     is_used,
-    label,
 )
 from insdvl_replay.core.states import DVL_AIDING, NINE
 from insdvl_replay.core.tables import (
@@ -35,26 +28,33 @@ from insdvl_replay.core.tables import (
     ConsistencyRow,
     CredibilityRow,
     EvidenceRow,
-    Number,
-    PooledRow,
     Tables,
     finite,
 )
 from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
+from insdvl_replay.evaluation.answers import (
+    AGAINST,
+    DECIDED,
+    NOTABLE_PCT,
+    changed,
+    interval_in_words,
+    left_undecided,
+    median_of,
+    most_starts,
+    on_prediction,
+    prediction_of,
+    spoken_of,
+    verdict_of,
+    would_settle,
+)
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine, unchanged_over_nine
-from insdvl_replay.evaluation.evidence import FEWEST_STARTS
 from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
-from insdvl_replay.evaluation.series import RatioInterval, dives_ratio, verdict_of_interval, what_settles
 
-NOTABLE_PCT: Final = 5.0  # A smaller predicted gain is not checked.
-CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be measured.
 # Quantities whose median change summarises the error against the reference.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
 WORST_FIRST: Final = (*reversed(VERDICTS_BEST_FIRST), Consistency.INSUFFICIENT)
-MANY_TIMES: Final = 3.0  # A larger ratio is written in times instead of percent.
-MOST_NAMED: Final = 2  # Evidence rows in the sentence; the table has all.
 MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that were rejected.
 FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short dive.
 # Innovations three times as large as predicted come from wrong axes, units or clocks.
@@ -67,36 +67,11 @@ CONTRADICTIONS: Final = (
     "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
 )  # fmt: skip
 SHARED: Final = "The reference shares sensors with the filters, so common errors cannot be seen."
-AGAINST: Final = {
-    Verdict.BETTER: "is BETTER than",
-    Verdict.WORSE: "is WORSE than",
-    Verdict.MIXED: "is MIXED (better in some quantities, worse in others) against",
-    Verdict.EQUIVALENT: "is equivalent to",
-    Verdict.UNDECIDED: "is undecided against",
-}
-NOT_EVALUATED: Final = "is NOT EVALUATED against"
 SETTLE: Final = ". Settle this first"
 TOO_LARGE: Final = "innovations far too large"
-EVERY_DIVE: Final = "*"  # Instead of a dive's name.
-FEWEST_SHOWN: Final = 3  # The interval of fewer effective samples, or dives, is stored but not shown.
-
-Piece = EvidenceRow | PooledRow  # one evidence row, of one dive or of several
-P = TypeVar("P", bound=Piece)
 
 
 # --- Verdicts over several rows.
-
-
-def verdict_of(rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> Verdict:
-    """Return what the evidence on one candidate says together.
-
-    Better in something and worse in nothing; mixed if both; else what the first row says.
-    """
-    words = [row.verdict for row in rows if row.quantity in deciding]
-    better, worse = EvidenceVerdict.BETTER in words, EvidenceVerdict.WORSE in words
-    if better or worse:
-        return Verdict.MIXED if better and worse else Verdict.BETTER if better else Verdict.WORSE
-    return Verdict.EQUIVALENT if words and words[0] == EvidenceVerdict.EQUIVALENT else Verdict.UNDECIDED
 
 
 def consistency_of(table: Sequence[ConsistencyRow], filter_name: str) -> str:
@@ -291,7 +266,7 @@ def verdicts(
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
         verdict, prediction = Verdict.NOT_EVALUATED, Prediction.UNDECIDED
-        measured = f"{candidate} {NOT_EVALUATED} {baseline}: {unsound.get(candidate)}{SETTLE}"
+        measured = f"{candidate} {AGAINST[Verdict.NOT_EVALUATED]} {baseline}: {unsound.get(candidate)}{SETTLE}"
         if candidate not in unsound:
             verdict = verdict_of(evidence)
             prediction, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
@@ -308,7 +283,7 @@ def verdicts(
             consistency=consistency_of(tables.consistency, candidate),
             mean_improvement_pct=predicted_pct,
             mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
-            reference_improvement_pct=_median(changes),
+            reference_improvement_pct=median_of(changes),
             credibility=credibility_of(tables.credibility, candidate),
             prediction=prediction,
             mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
@@ -319,12 +294,7 @@ def verdicts(
 
 def reason_not_evaluated(sentence: str) -> str:
     """Return the reason in the sentence on a candidate that is not evaluated."""
-    return sentence.partition(NOT_EVALUATED)[2].partition(": ")[2].rpartition(SETTLE)[0]
-
-
-def _median(numbers: Iterable[float]) -> float:
-    known = [number for number in numbers if np.isfinite(number)]
-    return float(np.median(known)) if known else float("nan")
+    return sentence.partition(AGAINST[Verdict.NOT_EVALUATED])[2].partition(": ")[2].rpartition(SETTLE)[0]
 
 
 def _prediction(
@@ -348,131 +318,29 @@ def _prediction(
     predicted = f". Predicted: {abs(predicted_pct):.1f} % {size} sigma"
     if predicted_pct < 0.0:
         return Prediction.UNDECIDED, predicted
-    prediction = prediction_of(predicted_pct, evidence, _most_starts(evidence))
+    prediction = prediction_of(predicted_pct, evidence, most_starts(evidence))
     return prediction, f"{predicted}. {on_prediction(prediction, evidence, has_reference=has_reference)}"
-
-
-def _most_starts(evidence: Iterable[EvidenceRow]) -> int:
-    return max((row.starts for row in evidence if row.evidence == "accuracy" and row.ratio is not None), default=0)
-
-
-def prediction_of(predicted_pct: float, evidence: Iterable[Piece], starts: int) -> Prediction:
-    """Return whether at least half of a predicted improvement was measured, by the medians of the intervals' ends."""
-    measured = [row for row in evidence if row.evidence == "accuracy" and row.ratio is not None]
-    if measured and starts >= FEWEST_STARTS and predicted_pct >= NOTABLE_PCT:
-        least_pct, most_pct = (
-            100.0 * (1.0 - float(np.median([finite(end) for end in ends])))
-            for ends in ([row.high for row in measured], [row.low for row in measured])
-        )
-        if least_pct >= CONFIRMED * predicted_pct:
-            return Prediction.CONFIRMED
-        if most_pct < CONFIRMED * predicted_pct:
-            return Prediction.NOT_CONFIRMED
-    return Prediction.UNDECIDED
-
-
-def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_reference: bool, dives: int = 1) -> str:
-    """Say whether a predicted improvement is confirmed, and why not."""
-    if prediction == Prediction.CONFIRMED:
-        return "Confirmed"
-    starts = [row.starts for row in evidence if row.evidence == "accuracy"]
-    reason = "one dive is too short" if dives == 1 else "the measured interval is too wide to tell"
-    if prediction == Prediction.NOT_CONFIRMED:
-        reason = "all accuracy evidence together shows less than half of it"
-    elif not has_reference:
-        reason = "there is no reference"
-    elif not starts:
-        reason = "no accuracy was measured"
-    elif max(starts) < FEWEST_STARTS:
-        reason = f"this takes {FEWEST_STARTS} random starts (--starts 16)"
-    elif 1 < dives < FEWEST_DIVES:
-        reason = f"this takes {FEWEST_DIVES} dives"
-    return f"Not confirmed: {reason}"
 
 
 def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
     """Say what was measured, by the evidence rows that decided, or could have decided."""
     pieces = []
     for row in spoken_of(verdict, evidence):
-        piece = changed(row.quantity, finite(row.ratio))
+        piece = changed(row)
         if np.isfinite(finite(row.ratio)):
             values = f"{finite(row.value):.3g} {row.unit} against {finite(row.baseline):.3g} {row.unit}"
-            why = f"; {row.why}" if row.why else ""
+            details = "; ".join(filter(None, (values, interval_in_words(row), row.why)))
             drawn = f" over {row.starts} random starts" if row.evidence == "accuracy" and row.starts > 1 else ""
-            piece = f"{piece}{drawn} (this dive: {values}{interval_in_words(row, 'on this dive')}{why})"
+            piece = f"{piece}{drawn} (this dive: {details})"
         pieces.append(piece)
     left, needed = left_undecided(verdict, evidence), would_settle(verdict, evidence)
     left += f"; {needed}" if needed else ""
-    words = {row.verdict for row in evidence if row.evidence == CONSISTENCY} & {
-        EvidenceVerdict.BETTER,
-        EvidenceVerdict.WORSE,
-    }
+    words = {row.verdict for row in evidence if row.evidence == CONSISTENCY} & {*DECIDED}
     if len(words) == 1:
         is_more = EvidenceVerdict.BETTER in words
         joined = "but" if is_more == (verdict == Verdict.WORSE) else "and"
         left += f"; {joined} it is {'more' if is_more else 'less'} consistent"
     return f"{'; '.join(pieces) or 'there is no evidence'}{left}"
-
-
-def would_settle(verdict: Verdict, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
-    """Say how many dives like these would decide an undecided candidate; empty if these dives should be enough.
-
-    This is by the first undecided row that does not depend on a single stretch of a dive.
-    """
-    undecided = (row for row in rows if row.quantity in deciding and row.verdict == EvidenceVerdict.UNDECIDED)
-    row = next((row for row in undecided if isinstance(row, PooledRow) or not row.why), None)
-    if row is None or verdict != Verdict.UNDECIDED:
-        return ""
-    samples, dives = (float(row.dives), row.dives) if isinstance(row, PooledRow) else (finite(row.effective_samples), 1)
-    ends = finite(row.ratio), finite(row.low), finite(row.high)
-    return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
-
-
-def left_undecided(verdict: Verdict, rows: Iterable[Piece], deciding: Collection[str] = DECIDING) -> str:
-    """Name the undecided rows of an equivalent candidate, as the end of a sentence."""
-    undecided = (row.quantity for row in rows if row.quantity in deciding and row.verdict == EvidenceVerdict.UNDECIDED)
-    names = ", ".join(map(label, undecided)) if verdict == Verdict.EQUIVALENT else ""
-    return f"; undecided: {names}" if names else ""
-
-
-def spoken_of(verdict: Verdict, rows: Iterable[P], deciding: Collection[str] = DECIDING) -> list[P]:
-    """Choose the evidence rows that made the verdict, or could have: the first of each kind."""
-    words = {verdict.value} & set(EvidenceVerdict) or {EvidenceVerdict.UNDECIDED}
-    if verdict == Verdict.MIXED:
-        words = {EvidenceVerdict.BETTER, EvidenceVerdict.WORSE}
-    known, spoken = [row for row in rows if row.quantity in deciding], list[P]()
-    for word in sorted(words):
-        kinds: dict[str, P] = {row.evidence: row for row in reversed(known) if row.verdict == word}
-        spoken += [*reversed(kinds.values())][: MOST_NAMED // len(words)]
-    return spoken
-
-
-def changed(quantity: str, ratio: float) -> str:
-    """Say how much smaller or larger, or sooner or later, a quantity is."""
-    if not np.isfinite(ratio):
-        return f"{label(quantity)} unknown"
-    is_time = quantity.startswith("convergence")
-    if ratio >= MANY_TIMES:
-        return f"{label(quantity)} {ratio:.3g} times as {'late' if is_time else 'large'}"
-    smaller, larger = ("sooner", "later") if is_time else ("smaller", "larger")
-    return f"{label(quantity)} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
-
-
-def shown_interval(row: Piece) -> tuple[Number, Number]:
-    """Return the ends of the interval of a row; None with fewer than three effective samples, or dives."""
-    samples = row.dives if isinstance(row, PooledRow) else finite(row.effective_samples)
-    return (None, None) if row.ratio is None or samples < FEWEST_SHOWN else (row.low, row.high)
-
-
-def interval_in_words(row: Piece, where: str) -> str:
-    """Write the interval of a row, if it is shown, in percent or, as the ratio itself, in times."""
-    low, high = map(finite, shown_interval(row))
-    if not np.isfinite(high - low):
-        return ""
-    ends = f"{100.0 * (low - 1.0):+z.1f} to {100.0 * (high - 1.0):+z.1f} %"
-    if finite(row.ratio) >= MANY_TIMES:
-        ends = f"{low:.3g} to {high:.3g} times"
-    return f"; 95 % interval {where}: {ends}"
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
@@ -511,100 +379,3 @@ def _trust(tables: Tables, name: str) -> str:
     if consistency == credibility:
         return f"{consistency} by the innovations, and{where} against the reference" if where else consistency
     return f"{consistency} by the innovations and {credibility}{where} against the reference"
-
-
-# --- The verdict on several dives.
-
-
-def pooled_evidence(
-    candidate: str,
-    dives: Sequence[Sequence[EvidenceRow]],  # the candidate's rows of each dive in which it is evaluated
-) -> list[PooledRow]:
-    """Pool the evidence of several dives on one candidate; the row that decides first is in front."""
-    pooled = []
-    for quantity in EVIDENCE_QUANTITIES:
-        rows = [row for dive in dives for row in dive if row.quantity == quantity and row.evidence != CONSISTENCY]
-        if not rows:
-            continue
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = np.asarray(np.log([finite(row.ratio) for row in rows]))
-        interval, known = dives_ratio(logs), np.isfinite(logs)
-        # On some dive one of the filters never settled. Only dives on which both settled have a ratio.
-        unsettled = any((row.baseline is None) != (row.value is None) for row in rows)
-        pooled.append(
-            PooledRow(
-                log=EVERY_DIVE,
-                filter=candidate,
-                evidence=rows[0].evidence,
-                quantity=quantity,
-                unit=rows[0].unit,
-                baseline=_median(finite(row.baseline) for row in rows),
-                value=_median(finite(row.value) for row in rows),
-                ratio=interval.ratio,
-                low=interval.low,
-                high=interval.high,
-                dives=int(known.sum()),
-                dives_won=int((logs < 0.0).sum()),
-                p=interval.p,
-                verdict=EvidenceVerdict.UNDECIDED if unsettled else verdict_of_interval(interval, FEWEST_DIVES),
-            )
-        )
-    return pooled
-
-
-@dataclass(frozen=True)
-class PooledCandidate:
-    """The pooled evidence of several dives on a candidate."""
-
-    name: str
-    baseline: str
-    rows: tuple[PooledRow, ...]  # the row that decides first in front
-    dives: int  # that have the candidate
-    evaluated: int  # in which it is evaluated
-    predicted_pct: float  # how much smaller its predicted sigma is, median over the dives; NaN if unknown
-    prediction: Prediction
-    confirmation: str  # whether the prediction is confirmed, and why not; empty if it is too small to be checked
-
-    @property
-    def verdict(self) -> Verdict:
-        """The pooled verdict; not evaluated if at least half of the dives are not."""
-        if 2 * self.evaluated <= self.dives:
-            return Verdict.NOT_EVALUATED
-        return verdict_of(self.rows, DECIDING_TOGETHER)
-
-
-def pooled_candidate(
-    name: str,
-    baseline: str,
-    evidence: Sequence[Sequence[EvidenceRow]],  # of each dive in which it is evaluated
-    dives: int,
-    predicted_pct: Iterable[Number] = (),  # of each of these dives
-) -> PooledCandidate:
-    """Pool the evidence on one candidate; its prediction is checked by the rule for one dive, with the pooled rows."""
-    rows, pct = tuple(pooled_evidence(name, evidence)), _median(map(finite, predicted_pct))
-    every_row = [row for dive in evidence for row in dive]
-    enough = [row for row in rows if row.dives >= FEWEST_DIVES]
-    prediction = prediction_of(pct, enough, _most_starts(every_row))
-    confirmation = ""
-    if pct >= NOTABLE_PCT:
-        confirmation = on_prediction(prediction, every_row, has_reference=True, dives=len(evidence))
-    return PooledCandidate(name, baseline, rows, dives, len(evidence), pct, prediction, confirmation)
-
-
-def pooled_sentence(pooled: PooledCandidate) -> str:
-    """Return the pooled verdict on a candidate as one sentence."""
-    verdict, dives = pooled.verdict, f"{pooled.evaluated} of {pooled.dives} dives"
-    if verdict == Verdict.NOT_EVALUATED:
-        found = f"it is evaluated in only {dives}. Settle the others first"
-        return f"{pooled.name} is NOT EVALUATED against {pooled.baseline}: {found}."
-    spoken = [row for row in spoken_of(verdict, pooled.rows, DECIDING_TOGETHER) if row.dives]
-    pieces = [
-        f"{changed(row.quantity, finite(row.ratio))} "
-        f"({'sooner' if row.evidence == 'convergence' else 'smaller'} in {row.dives_won} of {row.dives} dives, "
-        f"p = {finite(row.p):.2g}{interval_in_words(row, 'over dives')})"
-        for row in spoken
-    ]
-    pieces.append(would_settle(verdict, pooled.rows, DECIDING_TOGETHER))
-    found = "; ".join(filter(None, pieces)) or "there is no evidence"
-    left = left_undecided(verdict, pooled.rows, DECIDING_TOGETHER)
-    return f"{pooled.name} {AGAINST[verdict]} {pooled.baseline} over {dives}: {found}{left}."

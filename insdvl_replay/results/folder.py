@@ -18,37 +18,28 @@ import msgspec
 from insdvl_replay.core.errors import ConfigError, read_regular
 from insdvl_replay.core.tables import TABLES
 
-COMPLETE: Final = "report.json"
-"""The file that identifies a result folder. It is written last and lists the others."""
+COMPLETE: Final = "report.json"  # The file that identifies a result folder. It is written last and lists the others.
 PAGE: Final = "report.html"
-REPLAY_LOG: Final = "replay.mcap"
-"""The histories; checks do not write it."""
-TRAJECTORY_FILE: Final = "trajectory.npz"
-"""Every filter once a second."""
+REPLAY_LOG: Final = "replay.mcap"  # The histories; checks do not write it.
+TRAJECTORY_FILE: Final = "trajectory.npz"  # Every filter once a second.
 REFERENCE_TRAJECTORY: Final = "reference.tum"
-VEHICLE_FILE: Final = "vehicle.toml"
-"""Settings that were found, if nobody made them."""
-MAPS: Final = {"kml": "tracks.kml", "geojson": "tracks.geojson"}
-"""Files of all tracks of a dive, by format."""
-LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")
-"""Viewer layouts for replay.mcap."""
+VEHICLE_FILE: Final = "vehicle.toml"  # Settings that were found, if nobody made them.
+MAPS: Final = {"kml": "tracks.kml", "geojson": "tracks.geojson"}  # Files of all tracks of a dive, by format.
+LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")  # Viewer layouts for replay.mcap.
+# All files of the result of a dive.
 DIVE_FILES: Final = (
     *(f"{layout.name}.csv" for layout in TABLES),
     *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
 )
-"""All files of the result of a dive."""
 TOOL: Final = "insdvl-replay"
+# Raised when decoding bytes that are not valid JSON: cut, wrong encoding, or nested too deep.
 NOT_JSON: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
-"""Raised when decoding bytes that are not valid JSON: cut, wrong encoding, or nested too deep."""
+# Size limit of a result file that is read into memory. Reports of long dives have some MB.
 _MOST_BYTES: Final = 1 << 30
-"""Size limit of a result file that is read into memory. Reports of long dives have some MB."""
 _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
-_MARK: Final = "insdvl-replay-"
-"""In names of hidden folders, after the dot."""
-_OLD: Final = "old"
-"""Subfolder for the older result while the new one replaces it."""
-_LEFT_FOR_S: Final = 86_400.0
-"""A hidden folder that is unchanged for a day is from a killed run."""
+_MARK: Final = "insdvl-replay-"  # In names of hidden folders, after the dot.
+_OLD: Final = "old"  # Subfolder for the older result while the new one replaces it.
+_LEFT_FOR_S: Final = 86_400.0  # A hidden folder that is unchanged for a day is from a killed run.
 _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 

@@ -22,8 +22,7 @@ from insdvl_replay.results.folder import REPLAY_LOG
 if TYPE_CHECKING:
     import pandas as pd
 
-Fields = dict[str, list[str]]
-"""Columns by the field of a message that holds them."""
+Fields = dict[str, list[str]]  # Columns by the field of a message that holds them.
 _MOTION: Final[Fields] = {
     "latitude_deg": ["latitude_deg"],
     "longitude_deg": ["longitude_deg"],

@@ -32,12 +32,9 @@ if TYPE_CHECKING:
 
     from insdvl_replay.replay import Replay
 
-_CURVE: Final = "curve_"
-"""Begins the name of an array that is no sample of a second."""
-_OF_DVL: Final = ("velocity", "acceleration")
-"""Measurements whose NIS is compared, in the order of the columns."""
-_HELD_NS: Final = 10 * NS_PER_S
-"""An error against the reference is used for so long after the time of the reference."""
+_CURVE: Final = "curve_"  # Begins the name of an array that is no sample of a second.
+_OF_DVL: Final = ("velocity", "acceleration")  # Measurements whose NIS is compared, in the order of the columns.
+_HELD_NS: Final = 10 * NS_PER_S  # An error against the reference is used for so long after the time of the reference.
 
 
 @dataclass(frozen=True)
@@ -153,8 +150,7 @@ _CONVERGED: Final = {
     "heading": ("heading [deg]", DEG),
     "velocity": ("velocity [m/s]", 1.0),
 }
-KINDS: Final = ("error", "track", "sigma", "nis", "outage", "convergence")
-"""What can be drawn."""
+KINDS: Final = ("error", "track", "sigma", "nis", "outage", "convergence")  # What can be drawn.
 
 
 def paper_figure(

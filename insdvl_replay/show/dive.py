@@ -1,147 +1,27 @@
 """What people see of one dive: its tables in every format, and what screens and pages have in common."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final, Protocol, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
 
 from msgspec import Struct
-from msgspec.structs import replace
 
 from insdvl_replay.core.errors import counted, require_known
-from insdvl_replay.core.quantities import (
-    CONSISTENCY,
-    DECIDING,
-    DECIDING_TOGETHER,
-    HELD_OUT_QUANTITIES,
-    is_whole,
-    label,
-)
-from insdvl_replay.core.result import (
-    PAGE,
-    Block,
-    DisplayTable,
-    Only,
-    Part,
-    Report,
-    Result,
-    Title,
-)
-from insdvl_replay.core.tables import TABLES, CandidateVerdict, EvidenceRow, Number, PooledRow, each_table, finite
-from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
-from insdvl_replay.evaluation.evidence import SOONER
-from insdvl_replay.evaluation.series import FEWEST_EFFECTIVE, LARGEST_P, MARGIN
-from insdvl_replay.evaluation.verdicts import (
-    FEWEST_SHOWN,
-    NOTABLE_PCT,
-    P,
-    Piece,
-    on_prediction,
-    shown_interval,
-)
-from insdvl_replay.show.document import (
-    MISSING,
-    TENFOLD,
-    Column,
-    decimal,
-    number,
-    percent,
-    shown,
-    significant,
-    table_of,
-)
+from insdvl_replay.core.quantities import is_whole, label
+from insdvl_replay.core.result import PAGE, Block, DisplayTable, Only, Part, Report, Result, Title
+from insdvl_replay.core.tables import TABLES, Number, each_table, finite
+from insdvl_replay.core.words import ReferenceStatus, Verdict
+from insdvl_replay.show.answers import as_shown, of_filter, prediction_word
+from insdvl_replay.show.document import MISSING, Column, number, percent, shown, table_of
 
 NO_REFERENCE: Final = (
     "There is no reference, so true errors are unknown: accuracy, measured convergence, credibility and the predicted "
     "improvement cannot be checked."
 )
+# The meaning of the columns of the headline.
 SPECIFIED: Final = (
     "of distance: final horizontal error. CEP50, CEP95: 50 % and 95 % of the horizontal errors of this run are "
     "smaller. without DVL: median drift in the DVL outage test, measured by the held-out velocities."
 )
-"""The meaning of the columns of the headline."""
-TONES: Final[dict[str, str]] = {
-    Verdict.BETTER: "good",
-    Verdict.MIXED: "bad",
-    Verdict.WORSE: "bad",
-    Verdict.NOT_EVALUATED: "bad",
-}
-"""The colours of verdicts."""
-LOUD: Final = (Verdict.BETTER, Verdict.WORSE, Verdict.MIXED, Verdict.NOT_EVALUATED)
-"""Verdicts that are written in capitals."""
-DECIDED: Final = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
-
-
-class _FilterRow(Protocol):
-    @property
-    def filter(self) -> str: ...
-
-
-Row = TypeVar("Row", bound=_FilterRow)
-
-
-def of_filter(name: str, rows: Iterable[Row]) -> list[Row]:
-    """Return the rows of a filter."""
-    return [row for row in rows if row.filter == name]
-
-
-def has_reference(report: Report) -> bool:
-    """Return whether the dive has a reference; early reports lack one of the two tables that show it."""
-    found = [row.verdict for row in report.tables.credibility] + [row.status for row in report.tables.reference_error]
-    return any(word != ReferenceStatus.NO_REFERENCE for word in found)
-
-
-def shouted(verdict: str) -> str:
-    """Write an important verdict in capitals."""
-    return verdict.upper() if verdict in LOUD else verdict
-
-
-def ratio_text(value: Number) -> str:
-    """Write a ratio with two decimals, a large one with three digits."""
-    return decimal(value, 2) if abs(finite(value)) < TENFOLD else significant(value, 3)
-
-
-def interval_text(row: Piece) -> str:
-    """Write the interval of a row, where it is shown."""
-    low, high = shown_interval(row)
-    return MISSING if low is None or high is None else f"{ratio_text(low)} .. {ratio_text(high)}"
-
-
-def deciding_quantities(rows: Sequence[Piece]) -> Collection[str]:
-    """Return the quantities that may decide, on one dive or over several."""
-    return DECIDING_TOGETHER if rows and isinstance(rows[0], PooledRow) else DECIDING
-
-
-def verdict_in_table(row: Piece) -> str:
-    """Return the verdict of an evidence row, in brackets if it has no vote."""
-    return row.verdict if row.quantity in deciding_quantities([row]) or not row.verdict else f"({row.verdict})"
-
-
-def reason_in_words(row: Piece) -> str:
-    """Say why a row has no interval, or is neither better nor worse although its interval excludes 1; else empty."""
-    if row.ratio is None or row.evidence == CONSISTENCY or row.verdict in ("", *DECIDED):
-        return ""
-    is_pooled, is_time, (low, high) = isinstance(row, PooledRow), row.evidence == "convergence", shown_interval(row)
-    if isinstance(row, EvidenceRow) and row.why:
-        return row.why
-    if row.evidence == "track" and not is_pooled:
-        return "one dive is one sample"
-    if low is None or high is None:
-        return f"fewer than {FEWEST_SHOWN} {'dives' if is_pooled else 'effective samples'}"
-    if low <= 1.0 <= high:
-        return ""
-    change = ("sooner" if is_time else "smaller") if row.ratio < 1.0 else "later" if is_time else "larger"
-    margin = SOONER if is_time and not is_pooled else MARGIN
-    if 1.0 / (1.0 + margin) < row.ratio < 1.0 + margin:
-        return f"{change}, but less than {100.0 * margin:.0f} %"
-    if not finite(row.p) < LARGEST_P:
-        return f"{change}, but maybe less than {100.0 * MARGIN:.0f} %"
-    return "never settled on some dive" if is_pooled else f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
-
-
-def as_shown(row: P) -> P:
-    """Return an evidence row as tables show it: its interval if it is shown, verdict and reason in words."""
-    low, high = shown_interval(row)
-    why = {} if isinstance(row, PooledRow) else {"why": reason_in_words(row)}
-    return replace(row, low=low, high=high, verdict=verdict_in_table(row), **why)
 
 
 def heading(report: Report) -> str:
@@ -225,13 +105,13 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
     return found
 
 
+# Which rows of a table people see, where it is not all.
 _SHOWN_ROWS: Final[Mapping[str, Callable[[Any], object]]] = {
     "evidence": lambda row: row.baseline is not None or row.value is not None,
     "reference_error": lambda row: row.samples,
     "credibility": lambda row: row.samples,
     "consistency": lambda row: is_whole(row.measurement),
 }
-"""Which rows of a table people see, where it is not all."""
 _INNOVATIONS: Final[tuple[Column, ...]] = (
     ("filter", "l", "filter"),
     ("measurement", "l", "measurement:words"),
@@ -310,8 +190,7 @@ def _in_spite(named: Iterable[tuple[str, str]]) -> str:
 
 # --- The tables that `--table` names: for people, as CSV, as JSON.
 
-TOGETHER: Final = ("pooled", "summary")
-"""Names of the tables over all dives."""
+TOGETHER: Final = ("pooled", "summary")  # Names of the tables over all dives.
 
 
 def require_tables(names: Sequence[str]) -> None:
@@ -354,54 +233,6 @@ def tables_named(report: Report, *names: str) -> list[DisplayTable]:
     return [table for (name, _), table in tables_of(report).items() if name in wanted]
 
 
-# --- What screens and pages have in common.
-
-_CHOSEN: Final = ("velocity_along", "convergence_level", "nis")
-"""Evidence rows that are shown as well as those that decided and the first of each kind."""
-
-
 def over_starts(starts: int) -> str:
     """Say how values and ratio of accuracy rows differ; empty for one start."""
     return f"accuracy ratios: over {starts} random starts; values: from the start in the log" if starts > 1 else ""
-
-
-def prediction_word(predicted_pct: Number, prediction: str) -> str:
-    """Say in a word whether a predicted improvement is confirmed; empty if it is too small to be checked."""
-    if not finite(predicted_pct) >= NOTABLE_PCT:
-        return ""
-    return Prediction.CONFIRMED if prediction == Prediction.CONFIRMED else Prediction.NOT_CONFIRMED
-
-
-def prediction_line(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, has_reference: bool) -> str:
-    """State the predicted improvement of a candidate, and whether it is confirmed."""
-    predicted_pct = candidate.mean_improvement_pct
-    if predicted_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
-        return "predicted: unknown. An onboard solution reports the sigma of only some states, or of none."
-
-    def gained(change: float | None, gain: str, loss: str) -> str:
-        return f"{percent(-change)} {loss}" if change is not None and change < 0.0 else f"{percent(change)} {gain}"
-
-    sigma = gained(predicted_pct, "smaller", "larger")
-    convergence = gained(candidate.mean_convergence_improvement_pct, "faster", "slower")
-    found = ""
-    if finite(predicted_pct) >= NOTABLE_PCT:
-        prediction = candidate.prediction or Prediction.UNDECIDED
-        found = f" {on_prediction(prediction, evidence, has_reference=has_reference)}."
-    return f"predicted: {sigma} sigma, {convergence} convergence.{found}"
-
-
-def chosen_rows(rows: Sequence[P], most: int) -> list[P]:
-    """Choose evidence rows: those that decided, the first of each kind, held-out sensors, then others."""
-    known = [row for row in rows if row.baseline is not None or row.value is not None]
-    first = {row.evidence: row.quantity for row in reversed(known)}
-
-    def importance(row: P) -> tuple[bool, bool, bool, bool]:
-        return (
-            not (row.quantity in DECIDING and row.verdict in DECIDED),
-            row.quantity not in (first[row.evidence], *HELD_OUT_QUANTITIES),
-            row.quantity not in _CHOSEN,
-            row.quantity not in DECIDING_TOGETHER,
-        )
-
-    quantities = list(dict.fromkeys(row.quantity for row in sorted(known, key=importance)))[:most]
-    return [row for row in known if row.quantity in quantities]

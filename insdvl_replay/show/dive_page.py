@@ -27,27 +27,24 @@ from insdvl_replay.core.result import (
     flattened,
 )
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.verdicts import SHARED, reason_not_evaluated, trust_sentence
+from insdvl_replay.evaluation.verdicts import SHARED, trust_sentence
+from insdvl_replay.show.answers import TONES, answer_on_dive, has_reference
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
     SPECIFIED,
-    TONES,
-    has_reference,
     heading,
     headline_table,
-    of_filter,
-    prediction_line,
     replayed,
     tables_of,
     track_fit_line,
 )
 from insdvl_replay.show.document import notes_table, percent, table_of
-from insdvl_replay.show.first_screen import evidence_forest, first_screen, section, sentence_of_evidence
+from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
 from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
 
 MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
+# Rows of a forest plot, by the number of candidates; with more candidates the fewest rows.
 _MOST_ROWS: Final = {1: 14, 2: 10}
-"""Rows of a forest plot, by the number of candidates; with more candidates the fewest rows."""
 _FEWEST_ROWS: Final = 8
 
 
@@ -96,18 +93,12 @@ def _first_screen(report: Report, panels: Sequence[Panel], headline: Sequence[Di
 
 def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     """Return the section of a candidate on one dive."""
-    candidate, evidence = report.filters[name], of_filter(name, report.tables.evidence)
-    verdict, known = Verdict(candidate.verdict), has_reference(report)
-    if verdict == Verdict.NOT_EVALUATED:
-        said = f"{reason_not_evaluated(candidate.sentence)}. Settle this first."
-        return section(verdict, name, report.baseline, [said])
-    sentences = [
-        sentence_of_evidence(verdict, evidence),
-        prediction_line(candidate, evidence, has_reference=known),
-        trust_sentence(report.tables, name, report.baseline),
-    ]
+    answer = answer_on_dive(report, name)
+    if answer.verdict == Verdict.NOT_EVALUATED:
+        return section(answer, [f"{answer.reason}. Settle this first."])
+    sentences = [answer.measured, answer.predicted, trust_sentence(report.tables, name, report.baseline)]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
-    return section(verdict, name, report.baseline, sentences, [evidence_forest(title, verdict, evidence, most)])
+    return section(answer, sentences, [evidence_forest(title, answer, most)])
 
 
 def closing_lines(report: Report) -> tuple[str, ...]:

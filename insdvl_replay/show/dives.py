@@ -1,7 +1,5 @@
 """Several dives as shown: the screen, the summary for scripts, the page with a link to each dive."""
 
-import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -10,42 +8,28 @@ from urllib.parse import quote
 from msgspec import Struct
 from msgspec.structs import astuple
 
+from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import is_whole, label
-from insdvl_replay.core.result import (
-    PAGE,
-    PRINTED,
-    Callout,
-    DisplayTable,
-    Only,
-    Part,
-    Report,
-    Result,
-    Title,
-)
+from insdvl_replay.core.result import PAGE, PRINTED, Callout, DisplayTable, Only, Part, Report, Result, Title
 from insdvl_replay.core.tables import Number, PooledRow
 from insdvl_replay.core.words import Severity, Verdict
-from insdvl_replay.evaluation.verdicts import PooledCandidate, pooled_candidate, pooled_sentence, spoken_of
-from insdvl_replay.show.dive import (
-    TOGETHER,
+from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_sentence
+from insdvl_replay.show.answers import (
     TONES,
+    answer_on_dive,
     as_shown,
+    baseline_names,
+    candidate_names,
+    evidence_cells,
     has_reference,
-    interval_text,
-    of_filter,
+    pooled_answers,
     prediction_word,
-    ratio_text,
-    replay_result,
+    verdict_counts,
 )
+from insdvl_replay.show.dive import TOGETHER, replay_result
 from insdvl_replay.show.dive_page import dive_section
-from insdvl_replay.show.document import MISSING, counted, number, percent, rows_csv, shown
-from insdvl_replay.show.first_screen import (
-    DIVE_PAGE,
-    dives_forest,
-    evidence_forest,
-    first_screen,
-    section,
-    sentence_of_evidence,
-)
+from insdvl_replay.show.document import MISSING, number, percent, rows_csv, shown
+from insdvl_replay.show.first_screen import DIVE_PAGE, dives_forest, evidence_forest, first_screen, section
 from insdvl_replay.show.page import SIGNATURE, page
 
 
@@ -69,29 +53,6 @@ def reports_of(outcomes: Sequence[Outcome]) -> list[Report]:
 def failed_count(outcomes: Sequence[Outcome]) -> int:
     """Return the number of logs that could not be replayed."""
     return sum(isinstance(outcome, Failure) for outcome in outcomes)
-
-
-def pooled_candidates(outcomes: Sequence[Outcome]) -> list[PooledCandidate]:
-    """Pool the evidence on each candidate that at least two dives have."""
-    reports, found = reports_of(outcomes), []
-    for name in dict.fromkeys(name for report in reports for name in report.filters):
-        having = [report for report in reports if name in report.filters]
-        evaluated = [report for report in having if report.filters[name].verdict != Verdict.NOT_EVALUATED]
-        rows = [[row for row in report.tables.evidence if row.filter == name] for report in evaluated]
-        baselines = " or ".join(sorted({report.baseline for report in having}))
-        if len(having) > 1:
-            predicted_pct = [report.filters[name].mean_improvement_pct for report in evaluated]
-            found.append(pooled_candidate(name, baselines, rows, len(having), predicted_pct))
-    return found
-
-
-def pooled_prediction_line(pooled: PooledCandidate) -> str:
-    """State the predicted improvement over several dives, and whether it is confirmed."""
-    pct, confirmed = pooled.predicted_pct, f" {pooled.confirmation}." if pooled.confirmation else ""
-    if math.isnan(pct):
-        return "predicted: unknown."
-    size = "smaller" if pct >= 0.0 else "larger"
-    return f"predicted: {percent(abs(pct))} {size} sigma, median of {counted(pooled.evaluated, 'dive')}.{confirmed}"
 
 
 # --- For scripts: a summary, and the pooled evidence.
@@ -148,7 +109,7 @@ def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | No
 
 def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
     """Return the pooled evidence on all candidates."""
-    return [row for pooled in pooled_candidates(outcomes) for row in pooled.rows]
+    return [row for answer in pooled_answers(reports_of(outcomes)) for row in answer.rows]
 
 
 def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
@@ -158,8 +119,8 @@ def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
 
 # --- The tables over all dives that `--table` names.
 
+# Evidence rows of the summary, where a dive has them.
 _SUMMARIES: Final = ("position", "position_pct", "drift_60s", "outage_60s")
-"""Evidence rows of the summary, where a dive has them."""
 
 
 def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Sequence[Part]) -> Result:
@@ -168,20 +129,22 @@ def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Seque
         "pooled": (PooledRow, pooled_rows(outcomes)),
         "summary": (SummaryRow, list(summary_rows(outcomes))),
     }
-    shown_tables = [table for name in names if name in TOGETHER for table in _TOGETHER[name](outcomes)]
-    return replay_result(reports_of(outcomes), [*parts, *shown_tables], names, rows)
+    reports, shown_tables = reports_of(outcomes), list[Part]()
+    for name in (name for name in names if name in TOGETHER):
+        missing = f"There is no table {name}: {_NEEDED[name]}, and {counted(len(reports), 'dive')} could be replayed."
+        shown_tables += list(_TOGETHER[name](outcomes)) or [missing]
+    return replay_result(reports, [*parts, *shown_tables], names, rows)
 
 
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
-    for pooled in pooled_candidates(outcomes):
-        yield shown(PooledRow, map(as_shown, pooled.rows), filter=pooled.name, baseline=pooled.baseline)
+    for answer in pooled_answers(reports_of(outcomes)):
+        yield shown(PooledRow, map(as_shown, answer.rows), filter=answer.filter, baseline=answer.baseline)
 
 
 def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
     """Yield the values of dives by filters, a table for each quantity."""
     reports = reports_of(outcomes)
-    names = list(dict.fromkeys(name for report in reports for name in report.filters))
-    baselines = " or ".join(sorted({report.baseline for report in reports}))
+    names = candidate_names(reports)
     for quantity in _SUMMARIES:
         rows, unit = [], ""
         for report in reports:
@@ -192,12 +155,12 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
                 unit = row.unit
         if rows:
             title = f"Summary: {label(quantity)} [{unit}] of dives by filters"
-            yield DisplayTable(
-                title, ("dive", baselines, *names), f"lr{'r' * len(names)}", tuple(rows), title_apart=True
-            )
+            header = ("dive", baseline_names(reports), *names)
+            yield DisplayTable(title, header, f"lr{'r' * len(names)}", tuple(rows), title_apart=True)
 
 
 _TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}
+_NEEDED: Final = {"pooled": "it takes two dives with the same candidate", "summary": "it takes a dive with evidence"}
 
 
 # --- The page, and the same in other formats.
@@ -208,12 +171,12 @@ def index_page(outcomes: Sequence[Outcome]) -> bytes:
     return page([*_opening(outcomes, linked=True), *_tables(outcomes)], "sorting.js")
 
 
+# The files of several dives together: the function that writes each, and its first bytes.
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
     "summary.csv": (summary_csv, rows_csv(SummaryRow.__struct_fields__, ()).encode()),
     "evidence.csv": (evidence_csv, rows_csv(PooledRow.__struct_fields__, ()).encode()),
     INDEX: (index_page, SIGNATURE.encode()),
 }
-"""The files of several dives together: the function that writes each, and its first bytes."""
 
 
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
@@ -224,16 +187,16 @@ def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
 
 def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
-    failed, reports, candidates = failed_count(outcomes), reports_of(outcomes), pooled_candidates(outcomes)
-    names = list(dict.fromkeys(name for report in reports for name in report.filters))
+    failed, reports = failed_count(outcomes), reports_of(outcomes)
+    pooled, names = pooled_answers(reports), candidate_names(reports)
     compared = f": {', '.join(names)} against {reports[0].baseline}" if 0 < len(names) <= MOST_NAMED else ""
     yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
     found = "; ".join(f"{name}: {verdict_counts(name, reports)}" for name in names)
-    callouts = [Callout(pooled_sentence(pooled), TONES.get(pooled.verdict, "")) for pooled in candidates]
+    callouts = [Callout(pooled_sentence(answer), TONES.get(answer.verdict, "")) for answer in pooled]
     callouts += [Callout(f"Dive by dive, against the baseline: {found}.")] if found else []
     yield Only(PRINTED, tuple(callouts))
-    sections = [_section(pooled, reports, linked=linked) for pooled in candidates]
-    for name in (name for name in names if name not in {pooled.name for pooled in candidates}):
+    sections = [_section(answer, reports, linked=linked) for answer in pooled]
+    for name in (name for name in names if name not in {answer.filter for answer in pooled}):
         [report] = (report for report in reports if name in report.filters)
         sections.append(dive_section(report, name, f"Evidence on {report.log.name} alone"))
     evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
@@ -243,43 +206,32 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     yield Only(PAGE, (first_screen(sections, caption),) if sections else ())
 
 
-def verdict_counts(name: str, reports: Sequence[Report]) -> str:
-    """Count the dives with each verdict on a candidate."""
-    words = Counter(report.filters[name].verdict for report in reports if name in report.filters)
-    return ", ".join(f"{count} {word}" for word, count in words.most_common())
+MOST_NAMED: Final = 4  # With more candidates, the title has no names.
+_MOST_ROWS: Final = 8  # Evidence rows of the forest plot of all dives.
 
 
-MOST_NAMED: Final = 4
-"""With more candidates, the title has no names."""
-_MOST_ROWS: Final = 8
-"""Evidence rows of the forest plot of all dives."""
+def _section(answer: CandidateAnswer[PooledRow], reports: Sequence[Report], *, linked: bool) -> str:
+    counts = f"Dive by dive: {verdict_counts(answer.filter, reports)}."
+    dives = dives_forest(answer, reports, linked=linked)
+    if answer.verdict == Verdict.NOT_EVALUATED:
+        said = f"Evaluated on {answer.evaluated} of {answer.dives} dives. Settle the reasons of the others first."
+        return section(answer, [said, counts], [dives])
+    title = f"All dives, {answer.evaluated} of {answer.dives}" if answer.evaluated < answer.dives else "All dives"
+    plots = [evidence_forest(title, answer, _MOST_ROWS), dives]
+    return section(answer, [answer.measured, answer.predicted, counts], plots)
 
 
-def _section(pooled: PooledCandidate, reports: Sequence[Report], *, linked: bool) -> str:
-    counts = f"Dive by dive: {verdict_counts(pooled.name, reports)}."
-    dives = dives_forest(pooled, reports, linked=linked)
-    if pooled.verdict == Verdict.NOT_EVALUATED:
-        said = f"Evaluated on {pooled.evaluated} of {pooled.dives} dives. Settle the reasons of the others first."
-        return section(pooled.verdict, pooled.name, pooled.baseline, [said, counts], [dives])
-    said = sentence_of_evidence(pooled.verdict, pooled.rows)
-    sentences = [said, pooled_prediction_line(pooled), counts]
-    title = f"All dives, {pooled.evaluated} of {pooled.dives}" if pooled.evaluated < pooled.dives else "All dives"
-    plots = [evidence_forest(title, pooled.verdict, pooled.rows, _MOST_ROWS), dives]
-    return section(pooled.verdict, pooled.name, pooled.baseline, sentences, plots)
-
-
+# The meaning of the columns of candidates.
 MEANS: Final = (
     "evidence: the row that decided, or could have, with its ratio; predicted: how much smaller sigma is, mean of nine "
     "states, by the filter's own covariance"
 )
-"""The meaning of the columns of candidates."""
 _HEADER: Final = (
     "dive", "filter", "verdict", "evidence", "ratio", "interval", "predicted", "prediction", "baseline\nposition [m]",
     "candidate\nposition [m]", "consistency", "warnings", "reason of failure",
 )  # fmt: skip
 _ALIGNMENT: Final = "llllrrrlrrlrl"
-_WITH_REFERENCE: Final = (7, 8, 9)
-"""Columns that are empty without a reference."""
+_WITH_REFERENCE: Final = (7, 8, 9)  # Columns that are empty without a reference.
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
@@ -296,8 +248,12 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
             links.append(f"{quote(outcome.log.name)}/{DIVE_PAGE}")
         for name, candidate in outcome.filters.items():
             positions = map(number, _position_rmse(outcome, name, "position_h"))
-            consistency_words = (candidate.consistency, str(warnings), "")
-            rows.append((outcome.log.name, name, *_verdict_cells(outcome, name), *positions, *consistency_words))
+            answer, predicted = answer_on_dive(outcome, name), [MISSING, MISSING]
+            if answer.verdict != Verdict.NOT_EVALUATED:
+                predicted = [percent(answer.predicted_pct)]
+                predicted += [prediction_word(answer.predicted_pct, answer.prediction) or MISSING]
+            found = (answer.verdict, *evidence_cells(answer), *predicted, *positions, candidate.consistency)
+            rows.append((outcome.log.name, name, *found, str(warnings), ""))
             links.append(f"{quote(outcome.log.name)}/{DIVE_PAGE}")
     known = any(has_reference(report) for report in reports_of(outcomes))
     left_out = {*(() if known else _WITH_REFERENCE), *(() if failed_count(outcomes) else (len(_HEADER) - 1,))}
@@ -311,16 +267,3 @@ def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         links=tuple(links),
     )
     yield from _pooled_tables(outcomes)
-
-
-def _verdict_cells(report: Report, name: str) -> tuple[str, ...]:
-    """Write the verdict on a candidate, the row that decided, its ratio and interval, and the prediction."""
-    candidate = report.filters[name]
-    if candidate.verdict == Verdict.NOT_EVALUATED:
-        return (Verdict.NOT_EVALUATED, *[MISSING] * 5)
-    cells = [MISSING] * 3
-    for row in spoken_of(Verdict(candidate.verdict), of_filter(name, report.tables.evidence))[:1]:
-        cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
-    predicted_pct = candidate.mean_improvement_pct
-    confirmed = prediction_word(predicted_pct, candidate.prediction) or MISSING
-    return (candidate.verdict, *cells, percent(predicted_pct), confirmed)

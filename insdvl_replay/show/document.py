@@ -33,8 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MISSING: Final = "-"
-TENFOLD: Final = 10.0
-"""A larger ratio has as many digits as other numbers."""
+TENFOLD: Final = 10.0  # A larger ratio has as many digits as other numbers.
 
 
 def number(value: float | None) -> str:
@@ -80,6 +79,7 @@ def signed_percent(value: float | None) -> str:
     return f"{value:+.1f}" if abs(value) >= 0.95 else f"{value:+.2f}"
 
 
+# The format of a column's values, by the name in its row type.
 FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "": lambda value: number(value) if value is None or isinstance(value, float) else str(value),
     "label": label,
@@ -94,10 +94,9 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "cell": lambda value: number(value) if isinstance(value, float) else MISSING if value is None else str(value),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }
-"""The format of a column's values, by the name in its row type."""
 
+# Heading; alignment; the text of a cell, or the row's key with its format after a colon, such as ``sd:percent``.
 Column = tuple[str, str, Callable[[Any], CellText] | str]
-"""Heading; alignment; the text of a cell, or the row's key with its format after a colon, such as ``sd:percent``."""
 
 
 def table_of(
@@ -160,8 +159,8 @@ def parts_for(format_: Format, document: Document) -> Iterator[Part]:
 
 # --- CSV: UTF-8, LF, numbers in full, empty for what is missing.
 
+# A spreadsheet reads a cell with such a first character as a formula; leading blanks are escaped by then.
 _FORMULA: Final = ("=", "+", "-", "@")
-"""A spreadsheet reads a cell with such a first character as a formula; leading blanks are escaped by then."""
 
 
 def rows_csv(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -192,8 +191,7 @@ def _csv_cell(value: object) -> object:
     return text
 
 
-Rows = tuple[Sequence[str], Iterable[Sequence[object]]]
-"""Names of columns, and rows."""
+Rows = tuple[Sequence[str], Iterable[Sequence[object]]]  # Names of columns, and rows.
 
 
 def header_and_rows(table: "Sequence[Struct] | Block | pd.DataFrame") -> Rows:

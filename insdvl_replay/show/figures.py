@@ -36,20 +36,16 @@ from insdvl_replay.show.plot import Axis, limits
 DERIVED: Final = "derived"
 REACHED: Final = "reached"
 SIGMAS: Final = 3.0
+# Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high.
 SETTLED: Final = 0.02
-"""Share of the dive after which a panel shows everything; before, a sigma may fall from fifty times as high."""
+# Share of the values that a panel shows, since one outage would flatten all others; and margin above.
 _SHOWN, _AIR = 0.97, 1.15
-"""Share of the values that a panel shows, since one outage would flatten all others; and margin above."""
-_CONSTANT: Final = 0.5
-"""Values that fall to no less than this share of the largest are nearly constant."""
-_COMPLETE: Final = 0.98
-"""Share of the dive from which a curve is of all of it."""
-_MISSING: Final = 2.5
-"""A gap is longer than this many usual steps."""
-_WIDEST: Final = 1.5
-"""A panel shows a band up to this many times the largest error, so that errors fill the panel."""
+_CONSTANT: Final = 0.5  # Values that fall to no less than this share of the largest are nearly constant.
+_COMPLETE: Final = 0.98  # Share of the dive from which a curve is of all of it.
+_MISSING: Final = 2.5  # A gap is longer than this many usual steps.
+_WIDEST: Final = 1.5  # A panel shows a band up to this many times the largest error, so that errors fill the panel.
+# Least length, size and name of each unit.
 _UNITS: Final = ((2 * 3600.0, 3600.0, "h"), (20 * 60.0, 60.0, "min"), (0.0, 1.0, "s"))
-"""Least length, size and name of each unit."""
 
 
 @dataclass(frozen=True)
@@ -225,14 +221,14 @@ def _drift_panel(curves: Mapping[str, OutageCurve]) -> Panel:
     return Panel("horizontal drift [m]", "time without DVL [s]", (*limits_95, *medians), y_scale="log")
 
 
+# By quantity of convergence the title of its panel, and its unit in SI.
 _CONVERGED: Final = {
     "level": ("level: roll and pitch [deg]", DEG),
     "heading": ("heading [deg]", DEG),
     "velocity": ("horizontal velocity [m/s]", 1.0),
 }
-"""By quantity of convergence the title of its panel, and its unit in SI."""
+# Seconds, and share of the time, that are left out: no ping has come, and half of the axis would show them.
 _FIRST_S, _FIRST = 1.0, 1e-3
-"""Seconds, and share of the time, that are left out: no ping has come, and half of the axis would show them."""
 
 
 def convergence_figure(curves: Mapping[str, ConvergenceCurves], evidence: Sequence[EvidenceRow]) -> Iterator[Figure]:
@@ -398,10 +394,8 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     )
 
 
-MAGNIFIED: Final = "magnified"
-"""Added to the style of a filter: its places are not read at the cursor."""
-SEEN: Final = 0.08
-"""Share of the size of a track that its largest error is drawn as, at least half of it."""
+MAGNIFIED: Final = "magnified"  # Added to the style of a filter: its places are not read at the cursor.
+SEEN: Final = 0.08  # Share of the size of a track that its largest error is drawn as, at least half of it.
 
 
 def track_panel(replay: Replay) -> Panel:
@@ -469,12 +463,9 @@ def _acceleration_figure(replay: Replay, clock: Clock) -> Iterator[Figure]:
 
 # --- Shades behind the panels over time: where the vehicle turned, and where the DVL has no velocity.
 
-TURNS_DEGPS, OVER_S = 1.5, 10.0
-"""In a turn the heading changes by more, over the time of several pings."""
-SILENT: Final = 3.0
-"""A gap of the DVL is longer than this many usual steps."""
-MOST: Final = 40
-"""With more stretches of a kind, none is shaded, since they would hide the curves."""
+TURNS_DEGPS, OVER_S = 1.5, 10.0  # In a turn the heading changes by more, over the time of several pings.
+SILENT: Final = 3.0  # A gap of the DVL is longer than this many usual steps.
+MOST: Final = 40  # With more stretches of a kind, none is shaded, since they would hide the curves.
 
 
 def shades_of(replay: Replay) -> tuple[Shade, ...]:
@@ -514,10 +505,8 @@ def _over_time(panel: Panel, shades: tuple[Shade, ...], clock: Clock) -> Panel:
 # --- Strips: coverage of the dive by each sensor.
 
 _COLUMNS, _HEIGHT, _TICKS = 300, 20, 5
-_RIGHTMOST: Final = 97.0
-"""Labels from here on end at their place, in percent of the width."""
-_FEWEST_BEAMS: Final = 3
-"""With fewer valid beams a ping has no velocity."""
+_RIGHTMOST: Final = 97.0  # Labels from here on end at their place, in percent of the width.
+_FEWEST_BEAMS: Final = 3  # With fewer valid beams a ping has no velocity.
 
 
 @dataclass(frozen=True)

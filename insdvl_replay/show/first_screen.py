@@ -7,35 +7,22 @@ from typing import Final
 from urllib.parse import quote
 
 from insdvl_replay.core.errors import visible_lines
-from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, label
+from insdvl_replay.core.quantities import CONSISTENCY, label
 from insdvl_replay.core.result import DisplayTable, Html, Report
-from insdvl_replay.core.tables import PooledRow, finite
+from insdvl_replay.core.tables import PooledRow
 from insdvl_replay.core.words import EvidenceVerdict, Verdict
-from insdvl_replay.evaluation.verdicts import (
-    P,
-    Piece,
-    PooledCandidate,
-    changed,
-    interval_in_words,
-    left_undecided,
-    shown_interval,
-    spoken_of,
-    would_settle,
-)
-from insdvl_replay.show.dive import chosen_rows, deciding_quantities, ratio_text, reason_in_words, verdict_in_table
-from insdvl_replay.show.document import counted, significant
-from insdvl_replay.show.forest import ForestRow, forest, tone_class, unbroken
+from insdvl_replay.evaluation.answers import Piece, may_decide, reason_in_words, shown_interval
+from insdvl_replay.show.answers import AnyAnswer, chosen_rows, ratio_text, verdict_in_table
+from insdvl_replay.show.forest import ForestRow, change_of_value, forest, tone_class, unbroken
 from insdvl_replay.show.page import table_html
 
+# How to read the forest plots.
 READING: Final = (
     "Ratio: error of the candidate over that of the baseline, with its 95 % interval. Left of 1 is better. Shaded: "
     "within 5 %. Open dot: undecided. Bold: named in the sentence."
 )
-"""How to read the forest plots."""
-MOST_DIVES: Final = 20
-"""With more dives, those with the largest effects are drawn."""
-DIVE_PAGE: Final = "report.html"
-"""The page of a dive, in its folder."""
+MOST_DIVES: Final = 20  # With more dives, those with the largest effects are drawn.
+DIVE_PAGE: Final = "report.html"  # The page of a dive, in its folder.
 
 
 def first_screen(
@@ -49,15 +36,16 @@ def first_screen(
     return Html(f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}')
 
 
-def section(verdict: Verdict, name: str, baseline: str, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
+def section(answer: AnyAnswer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
     """Return the section of a candidate: the word, sentences, and plots next to them."""
+    name, baseline = answer.filter, answer.baseline
     # A name keeps its first letter.
     begun = (text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}" for text in sentences)
     said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in begun)
     against = f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
-    word = f'<p class="word">{verdict.upper()}</p>'
+    word = f'<p class="word">{answer.verdict.upper()}</p>'
     return (
-        f'<section class="candidate {tone_class(verdict)}"><div class="says">{word}{against}{said}</div>'
+        f'<section class="candidate {tone_class(answer.verdict)}"><div class="says">{word}{against}{said}</div>'
         f"{''.join(plots)}</section>"
     )
 
@@ -69,74 +57,53 @@ def _stressed(sentence: str) -> str:
     return text.replace(word, f"<b>{word}</b>", 1) if word else text
 
 
-def sentence_of_evidence(verdict: Verdict, rows: Sequence[Piece]) -> str:
-    """Say what decided: the change, and its interval or why it has none; then what would decide."""
-    pieces, deciding = list[str](), deciding_quantities(rows)
-    for row in _known(spoken_of(verdict, rows, deciding)):
-        piece = changed(row.quantity, finite(row.ratio))
-        if isinstance(row, PooledRow) and row.verdict != EvidenceVerdict.EQUIVALENT:
-            alike = row.dives_won if finite(row.ratio) <= 1.0 else row.dives - row.dives_won
-            piece += f" on {alike} of {counted(row.dives, 'dive')}"
-        if not pieces:
-            bounds = interval_in_words(row, "over dives" if isinstance(row, PooledRow) else "on this dive")
-            found = "; ".join(filter(None, (bounds.removeprefix("; "), _reason(row))))
-            piece += f" ({found})" if found else ""
-        pieces.append(piece)
-    needed = would_settle(verdict, rows, deciding)
-    settled = f" {needed[:1].upper()}{needed[1:]}." if needed else ""
-    return f"{'; '.join(pieces) or 'no evidence'}{left_undecided(verdict, rows, deciding)}.{settled}"
-
-
-def _known(rows: Iterable[P]) -> list[P]:
-    return [row for row in rows if not math.isnan(finite(row.ratio))]
-
-
 def _reason(row: Piece) -> str:
     """Say why a row does not decide; equivalent is a decision."""
     return "" if row.verdict == EvidenceVerdict.EQUIVALENT else reason_in_words(row)
 
 
-def evidence_forest(title: str, verdict: Verdict, rows: Sequence[Piece], most: int) -> str:
+def evidence_forest(title: str, answer: AnyAnswer, most: int) -> str:
     """Draw evidence rows: those that decided, the first of each kind, then others."""
-    deciding = deciding_quantities(rows)
-    named = spoken_of(verdict, rows, deciding)
     # Innovations have no vote, and the track of one dive is one sample.
-    known = [row for row in _known(rows) if row.evidence != CONSISTENCY]
-    known = [row for row in known if row.evidence != "track" or row.quantity in deciding]
+    known = [row for row in answer.known if row.evidence != CONSISTENCY]
+    known = [row for row in known if row.evidence != "track" or may_decide(row)]
     drawn = []
     for row in chosen_rows(known, most):
-        won = f" {row.dives_won}/{row.dives}" if isinstance(row, PooledRow) else ""
+        won = f" {row.dives_won}/{row.dives}" if isinstance(row, PooledRow) and answer.dives > 1 else ""
         text, ends = f"{ratio_text(row.ratio)} {verdict_in_table(row)}{won}", shown_interval(row)
-        drawn.append(
-            ForestRow(label(row.quantity), row.ratio, *ends, row.verdict, text, "", _reason(row), row in named)
-        )
+        decides = row in answer.spoken
+        drawn.append(ForestRow(label(row.quantity), row.ratio, ends, row.verdict, text, "", _reason(row), decides))
     return forest(title, drawn)
 
 
-def dives_forest(pooled: PooledCandidate, reports: Iterable[Report], *, linked: bool) -> str:
+def dives_forest(answer: AnyAnswer, reports: Iterable[Report], *, linked: bool) -> str:
     """Draw the dives one by one, the smallest ratio first, by the quantity of the row that decided."""
-    first = [*spoken_of(pooled.verdict, pooled.rows, DECIDING_TOGETHER), *pooled.rows][:1]
+    first = [*answer.spoken, *answer.rows][:1]
     quantity, rows = first[0].quantity if first else "", list[ForestRow]()
-    for report in (report for report in reports if pooled.name in report.filters):
+    for report in (report for report in reports if answer.filter in report.filters):
         name, link = report.log.name, f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
-        own = [row for row in report.tables.evidence if (row.filter, row.quantity) == (pooled.name, quantity)]
-        if report.filters[pooled.name].verdict == Verdict.NOT_EVALUATED:
+        own = [row for row in report.tables.evidence if (row.filter, row.quantity) == (answer.filter, quantity)]
+        if report.filters[answer.filter].verdict == Verdict.NOT_EVALUATED:
             rows.append(ForestRow(name, None, tone=Verdict.NOT_EVALUATED, text=Verdict.NOT_EVALUATED, link=link))
         elif not own or own[0].ratio is None:
             rows.append(ForestRow(name, None, text="no value", link=link))
         else:
             [row] = own
-            text = f"{significant(row.baseline, 3)} → {significant(row.value, 3)} {row.unit}"
+            text = change_of_value(row.baseline, row.value, row.unit)
             if row.evidence == "accuracy" and row.starts > 1:  # the values are from the dive's own start alone
                 text = f"{ratio_text(row.ratio)} {row.verdict}"
-            rows.append(ForestRow(name, row.ratio, *shown_interval(row), row.verdict, text, link, _reason(row)))
-    rows.sort(key=_effect, reverse=True)
+            rows.append(ForestRow(name, row.ratio, shown_interval(row), row.verdict, text, link, _reason(row)))
+    return by_dive_forest(quantity, rows)
+
+
+def by_dive_forest(quantity: str, rows: Sequence[ForestRow]) -> str:
+    """Draw the dives one by one, the smallest ratio first; of many those with the largest effects."""
     name = label(quantity) or "evidence"
     title = f"{name[:1].upper()}{name[1:]}, dive by dive"
-    if (left_out := len(rows) - MOST_DIVES) > 0:
-        title += f": the {MOST_DIVES} largest effects, {left_out} more in the table below"
-    drawn = sorted(rows[:MOST_DIVES], key=lambda row: math.inf if row.ratio is None else row.ratio)
-    return forest(title, drawn)
+    if len(rows) > MOST_DIVES:
+        title += f": the {MOST_DIVES} largest effects of {len(rows)}"
+    largest = sorted(rows, key=_effect, reverse=True)[:MOST_DIVES]
+    return forest(title, sorted(largest, key=lambda row: math.inf if row.ratio is None else row.ratio))
 
 
 def _effect(row: ForestRow) -> float:

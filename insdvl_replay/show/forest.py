@@ -12,22 +12,20 @@ from typing import Final
 from insdvl_replay.core.errors import visible
 from insdvl_replay.core.tables import Number, finite
 from insdvl_replay.evaluation.series import MARGIN
+from insdvl_replay.show.document import significant
 
+# Percent of the width: the end of labels, both ends of the axis, the start of texts.
 LABEL_END, LEFT, RIGHT, TEXT = 28.0, 30.0, 64.0, 66.0
-"""Percent of the width: the end of labels, both ends of the axis, the start of texts."""
-TOP, ROW, BOTTOM = 3, 17, 16
-"""Pixels: free above the rows, the height of a row, the height of the axis labels."""
-_BASELINE: Final = 4
-"""Pixels by which the foot of a text is below the middle of its row."""
+TOP, ROW, BOTTOM = 3, 17, 16  # Pixels: free above the rows, the height of a row, the height of the axis labels.
+_BASELINE: Final = 4  # Pixels by which the foot of a text is below the middle of its row.
+# Ticks by the upper end of the axis; the lower end is one over it.
 AXES: Final = {
     2.0: (0.5, 0.7, 1.0, 1.4, 2.0),
     5.0: (0.2, 0.5, 1.0, 2.0, 5.0),
     20.0: (0.05, 0.2, 1.0, 5.0, 20.0),
     100.0: (0.01, 0.1, 1.0, 10.0, 100.0),
 }
-"""Ticks by the upper end of the axis; the lower end is one over it."""
-_MOST_BEYOND: Final = 0.5
-"""Share of the ratios that may be beyond the axis, as arrows."""
+_MOST_BEYOND: Final = 0.5  # Share of the ratios that may be beyond the axis, as arrows.
 _LONGEST_LABEL: Final = 20
 _RAISED: Final = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -38,8 +36,7 @@ class ForestRow:
 
     label: str
     ratio: Number
-    low: Number = None
-    high: Number = None
+    interval: tuple[float, float] | None = None
     tone: str = ""  # a verdict: its colour
     text: str = ""  # after the axis
     link: str = ""  # target of the label
@@ -90,6 +87,11 @@ def axis_end(rows: Sequence[ForestRow]) -> float:
     return next((end for end in AXES if sum(size > end for size in sizes) <= _MOST_BEYOND * len(sizes)), max(AXES))
 
 
+def change_of_value(old: Number, new: Number, unit: str) -> str:
+    """Write two values, such as ``0.107 → 0.092 m``."""
+    return f"{significant(old, 3)} \N{RIGHTWARDS ARROW} {significant(new, 3)} {unit}"
+
+
 def unbroken(text: str) -> str:
     """Write text as HTML whose numbers stay on one line with their percent sign."""
     return escape(visible(text), quote=False).replace(" %", "&nbsp;%")
@@ -103,7 +105,7 @@ def tone_class(verdict: str) -> str:
 def _in_full(row: ForestRow) -> str:
     """Return what is shown where the pointer rests: whole name, ratio, interval, verdict."""
     ratio = "" if math.isnan(finite(row.ratio)) else f" {row.ratio:.3g}"
-    interval = "" if row.low is None or row.high is None else f" ({row.low:.3g} .. {row.high:.3g})"
+    interval = "" if row.interval is None else " ({:.3g} .. {:.3g})".format(*row.interval)
     return escape(visible(f"{row.label}{':' if ratio else ''}{ratio}{interval} {row.tone}".rstrip()))
 
 
@@ -116,7 +118,7 @@ def _label(row: ForestRow, middle: float) -> Iterator[str]:
 
 def _mark(row: ForestRow, middle: float, end: float) -> Iterator[str]:
     """Draw a ratio as a dot on its interval, one beyond the axis as an arrow with the number."""
-    ratio = finite(row.ratio)
+    ratio = math.nan if row.ratio is None else row.ratio
     if not ratio >= 0.0:
         return
     if not 1.0 / end <= ratio <= end:
@@ -124,12 +126,13 @@ def _mark(row: ForestRow, middle: float, end: float) -> Iterator[str]:
         across, anchor, text = (RIGHT, "end", f"{size}x ▶") if ratio > 1.0 else (LEFT, "start", f"◀ {size}x")
         yield f'<text class="beyond" x="{across}%" y="{middle + _BASELINE}" text-anchor="{anchor}">{text}</text>'
         return
-    if row.low is not None and row.high is not None:
-        low, high = (place(min(max(edge, 1.0 / end), end), end) for edge in (row.low, row.high))
+    if row.interval is not None and not math.isnan(sum(row.interval)):
+        ends = [min(max(edge, 1.0 / end), end) for edge in row.interval]
+        low, high = (place(edge, end) for edge in ends)
         yield f'<line class="interval" x1="{low:.2f}%" x2="{high:.2f}%" y1="{middle}" y2="{middle}"/>'
-        for across, is_cut, tip in ((low, row.low < 1.0 / end, "4-3v6z"), (high, row.high > end, "-4-3v6z")):
-            if is_cut:  # the interval goes on
-                yield f'<svg class="tip" x="{across:.2f}%" y="{middle}"><path d="M0 0l{tip}"/></svg>'
+        for edge, shown, tip in zip(row.interval, ends, ("4-3v6z", "-4-3v6z"), strict=True):
+            if edge != shown:  # the interval goes on
+                yield f'<svg class="tip" x="{place(shown, end):.2f}%" y="{middle}"><path d="M0 0l{tip}"/></svg>'
     yield f'<circle cx="{place(ratio, end):.2f}%" cy="{middle}" r="3.5"/>'
 
 

@@ -13,8 +13,8 @@ from insdvl_replay.show.document import MISSING, cell_lines
 from insdvl_replay.show.text import flat, sentence_of
 
 _PACKAGES: Final = r"% needs \usepackage{booktabs,graphicx,siunitx}"
+# Makes a table smaller that is wider than the text.
 _AT_MOST_A_LINE: Final = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
-"""Makes a table smaller that is wider than the text."""
 _ESCAPES: Final = {
     "\\": r"\textbackslash{}",
     "^": r"\textasciicircum{}",
@@ -31,10 +31,8 @@ _NUMBER: Final = re.compile(
     r"(?P<sign>[+-]?)(?P<whole>\d+)(?:\.(?P<decimals>\d+))?(?:e(?P<power>[+-]\d+))?(?: (?P<unit>%))?"
 )
 _LONGEST_LABEL: Final = 60
-_LONGEST_CELL: Final = 30
-"""Letters; a column with more is folded."""
-_MOST_FLOATS: Final = 10
-"""LaTeX holds 18 floats at least, until a page is full of text."""
+_LONGEST_CELL: Final = 30  # Letters; a column with more is folded.
+_MOST_FLOATS: Final = 10  # LaTeX holds 18 floats at least, until a page is full of text.
 
 
 def as_latex(document: Document, about: str = "") -> str:

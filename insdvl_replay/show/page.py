@@ -26,15 +26,14 @@ from insdvl_replay.core.result import (
 from insdvl_replay.show.document import cell_lines, parts_for
 from insdvl_replay.show.plot import Legend, panel_svg, style_sheet
 
-_SHORT: Final = 20
-"""Longer cells are folded; the others are on one line."""
+_SHORT: Final = 20  # Longer cells are folded; the others are on one line.
 SIGNATURE: Final = '<meta name="generator" content="insdvl-replay">'
 
 
+# On a page with plots, above the first figure if it is not said before.
 HOW_TO_READ: Final = (
     "Point at a plot to read its values, drag to zoom, double click to see everything again, click to enlarge."
 )
-"""On a page with plots, above the first figure if it is not said before."""
 
 
 def page(document: Document, *scripts: str) -> bytes:

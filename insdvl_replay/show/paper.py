@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from insdvl_replay.core.dive_columns import Floats
 
+# The styles of the pages' style sheet.
 LOOKS: Final[dict[str, dict[str, Any]]] = {
     "filter0": {"color": "#c0232c", "linestyle": (0, (7, 3))},
     "filter1": {"color": "#1c5fc4", "linestyle": "-"},
@@ -30,7 +31,6 @@ LOOKS: Final[dict[str, dict[str, Any]]] = {
     "start": {"color": "#1b2330", "marker": "o", "markerfacecolor": "white", "linestyle": "none"},
     "end": {"color": "#1b2330", "marker": "s", "linestyle": "none"},
 }
-"""The styles of the pages' style sheet."""
 _STYLE: Final[Any] = {
     "font.size": 8.0,
     "axes.titlesize": 6.5,
@@ -49,19 +49,16 @@ _STYLE: Final[Any] = {
     "svg.hashsalt": "insdvl-replay",
     "svg.fonttype": "none",
 }
+NARROWEST_MM, WIDEST_MM = 60.0, 1000.0
 _MM_PER_INCH: Final = 25.4
-_SHAPE: Final = 0.62
-"""Height over width of a panel."""
-_LOW_MM: Final = 34.0
-"""Height of a panel among several, if it is wide."""
-_SLIDE_MM: Final = 90.0
-"""Width of a panel on a slide."""
+_SHAPE: Final = 0.62  # Height over width of a panel.
+_LOW_MM: Final = 34.0  # Height of a panel among several, if it is wide.
+_SLIDE_MM: Final = 90.0  # Width of a panel on a slide.
 _PANELS_IN_A_ROW: Final = 3
 _MOST_TICKS: Final = 6
-_SHORT: Final = 100.0
-"""A logarithmic axis over a smaller factor has ticks at 1, 2 and 5."""
+_SHORT: Final = 100.0  # A logarithmic axis over a smaller factor has ticks at 1, 2 and 5.
+# Without the time of day the same result gives the same bytes.
 _UNDATED: Final = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {"Software": None}}
-"""Without the time of day the same result gives the same bytes."""
 
 
 def require_matplotlib() -> None:
@@ -71,6 +68,13 @@ def require_matplotlib() -> None:
     except ImportError as error:
         hint = "pip install 'insdvl-replay[figures]'"
         raise ConfigError("this picture needs matplotlib, which is not installed", hint) from error
+
+
+def require_width(width_mm: float, option: str) -> None:
+    """Raise a ConfigError if a figure cannot have this width."""
+    if not NARROWEST_MM <= width_mm <= WIDEST_MM:
+        text = f"{option}: is not a width from {NARROWEST_MM:g} to {WIDEST_MM:g} mm"
+        raise ConfigError(text, "88 is a column of a paper, 180 a page")
 
 
 def figure_png(figure: Figure) -> bytes:

@@ -1,159 +1,59 @@
 """The terminal screens of a run: the answer for each candidate, then the evidence, then the dives one by one."""
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from insdvl_replay.core.errors import counted, natural_key
 from insdvl_replay.core.quantities import CONSISTENCY, is_beam, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
-from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Severity, Verdict
+from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
+from insdvl_replay.core.words import GateStatus, Severity, Verdict
+from insdvl_replay.evaluation.answers import EVERY_DIVE, FEWEST_SHOWN, NOTABLE_PCT, Piece, may_decide, reason_in_words
 from insdvl_replay.evaluation.notes import is_noise_far_off
-from insdvl_replay.evaluation.verdicts import (
-    FEWEST_SHOWN,
-    NOTABLE_PCT,
-    Piece,
-    PooledCandidate,
-    consistency_of,
-    reason_not_evaluated,
-    spoken_of,
-    trust_sentence,
-    would_settle,
-)
-from insdvl_replay.show.dive import (
-    NO_REFERENCE,
+from insdvl_replay.evaluation.verdicts import consistency_of, trust_sentence
+from insdvl_replay.show.answers import (
     TONES,
+    AnyCandidate,
+    answer_on_dive,
+    answers_of,
+    baseline_names,
+    candidate_names,
     chosen_rows,
-    deciding_quantities,
+    evidence_cells,
+    evidence_text,
     has_reference,
-    headline_table,
     interval_text,
     of_filter,
-    over_starts,
-    prediction_line,
     prediction_word,
     ratio_text,
-    reason_in_words,
+    reason_undecided,
     shouted,
-    track_fit_line,
+    spoken_rows,
+    verdict_counts,
     verdict_in_table,
+    verdict_with_reason,
+    would_decide,
 )
-from insdvl_replay.show.dives import (
-    Failure,
-    Outcome,
-    failed_count,
-    pooled_candidates,
-    pooled_prediction_line,
-    reports_of,
-)
+from insdvl_replay.show.dive import NO_REFERENCE, headline_table, over_starts, track_fit_line
+from insdvl_replay.show.dives import Failure, Outcome, failed_count, reports_of
 from insdvl_replay.show.document import MISSING, Column, decimal, percent, significant, table_of
-
-# --- The answer for one candidate, on one dive or on several.
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What is said first of a candidate."""
-
-    name: str
-    baseline: str
-    verdict: Verdict
-    rows: Sequence[Piece]  # evidence that has a ratio
-    where: str  # the dive, or the number of dives
-    problem: str  # why it is not evaluated
-    predicted_pct: Number
-    prediction: str
-    prediction_sentence: str
-
-    @property
-    def deciding(self) -> Collection[str]:
-        """The quantities that may decide."""
-        return deciding_quantities(self.rows)
-
-    @property
-    def spoken(self) -> list[Piece]:
-        """The row that decided, or could have; two rows if the verdict is mixed."""
-        if self.verdict == Verdict.NOT_EVALUATED:
-            return []
-        return spoken_of(self.verdict, self.rows, self.deciding)[: 2 if self.verdict == Verdict.MIXED else 1]
-
-    @property
-    def evidence(self) -> str:
-        """That row with its ratio and interval, such as ``drift in 30 s 0.74 (0.69 .. 0.78)``."""
-        texts = []
-        for row in self.spoken:
-            interval, word = interval_text(row), f" {row.verdict}" if self.verdict == Verdict.MIXED else ""
-            interval = "" if interval == MISSING else f" ({interval})"
-            texts.append(f"{label(row.quantity)} {ratio_text(row.ratio)}{interval}{word}")
-        return "; ".join(texts) or "no evidence"
-
-    @property
-    def reason(self) -> str:
-        """Why it is undecided, if the interval does not show it."""
-        is_undecided = self.verdict == Verdict.UNDECIDED
-        return next((why for row in self.spoken if is_undecided and (why := reason_in_words(row))), "")
-
-    @property
-    def would_decide(self) -> str:
-        """Why it is undecided, and how many dives would decide; empty if it is decided."""
-        reason = f"undecided: {self.reason}" if self.reason else ""
-        return "; ".join(filter(None, (reason, would_settle(self.verdict, self.rows, self.deciding))))
-
-
-def _dive_answer(report: Report, name: str) -> Answer:
-    candidate, evidence = report.filters[name], of_filter(name, report.tables.evidence)
-    return Answer(
-        name,
-        report.baseline,
-        Verdict(candidate.verdict),
-        [row for row in evidence if row.evidence != CONSISTENCY and row.ratio is not None],
-        report.log.name,
-        reason_not_evaluated(candidate.sentence),
-        candidate.mean_improvement_pct,
-        candidate.prediction,
-        prediction_line(candidate, evidence, has_reference=has_reference(report)),
-    )
-
-
-def _pooled_answer(pooled: PooledCandidate) -> Answer:
-    dives = counted(pooled.evaluated, "dive")
-    return Answer(
-        pooled.name,
-        pooled.baseline,
-        pooled.verdict,
-        [row for row in pooled.rows if row.dives],
-        dives if pooled.evaluated == pooled.dives else f"{pooled.evaluated} of {counted(pooled.dives, 'dive')}",
-        "too few dives are evaluated",
-        pooled.predicted_pct,
-        pooled.prediction,
-        pooled_prediction_line(pooled),
-    )
-
-
-def _answers(outcomes: Sequence[Outcome]) -> list[Answer]:
-    """Return the answer for each candidate: over all dives, or on the only dive that has it."""
-    reports, pooled = reports_of(outcomes), {found.name: found for found in pooled_candidates(outcomes)}
-    having = {name: report for report in reversed(reports) for name in report.filters}
-    names = dict.fromkeys(name for report in reports for name in report.filters)
-    return [_pooled_answer(pooled[name]) if name in pooled else _dive_answer(having[name], name) for name in names]
 
 
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """Return one line for each candidate, over all dives."""
     lines = []
-    for answer in _answers(outcomes):
-        start = f"{answer.name} {shouted(answer.verdict)}"
+    for answer in answers_of(reports_of(outcomes)):
+        start = f"{answer.filter} {shouted(answer.verdict)}"
         if answer.verdict == Verdict.NOT_EVALUATED:
-            lines.append(f"{start} on {answer.where}: {answer.problem}")
+            lines.append(f"{start} on {answer.where}: {answer.reason}")
         else:
-            reason = f": {answer.reason}" if answer.reason else ""
-            lines.append(f"{start} {answer.evidence} on {answer.where}{reason}; {_predicted(answer)}")
+            reason = f": {why}" if (why := reason_undecided(answer)) else ""
+            lines.append(f"{start} {evidence_text(answer)} on {answer.where}{reason}; {_predicted(answer)}")
     return lines
 
 
-def _predicted(answer: Answer) -> str:
+def _predicted(answer: AnyCandidate) -> str:
     """Write the predicted improvement, and whether it is confirmed, in a few words."""
     pct = finite(answer.predicted_pct)
     if pct != pct:
@@ -166,17 +66,13 @@ def _predicted(answer: Answer) -> str:
 
 # --- The parts that both screens have.
 
-MOST_ANSWERS: Final = 2
-"""More candidates have a row of a table each."""
-MOST_COLUMNS: Final = 3
-"""More candidates have no common table of evidence."""
-MOST_ROWS: Final = {1: 6, 2: 3, 3: 3}
-"""Evidence rows on a screen, by the number of candidates."""
-FOLDED: Final = 6
-"""Letters of a reason that are folded before a column is left out."""
+MOST_ANSWERS: Final = 2  # More candidates have a row of a table each.
+MOST_COLUMNS: Final = 3  # More candidates have no common table of evidence.
+MOST_ROWS: Final = {1: 6, 2: 3, 3: 3}  # Evidence rows on a screen, by the number of candidates.
+FOLDED: Final = 6  # Letters of a reason that are folded before a column is left out.
 
 
-def _answer_parts(answers: Sequence[Answer]) -> Iterator[Part]:
+def _answer_parts(answers: Sequence[AnyCandidate]) -> Iterator[Part]:
     """Yield word, evidence, what would decide, and prediction of each candidate."""
     if len(answers) > MOST_ANSWERS:
         yield from (Sentences(()), _answer_table(answers))
@@ -184,48 +80,48 @@ def _answer_parts(answers: Sequence[Answer]) -> Iterator[Part]:
     lines: list[str | Callout] = []
     for answer in answers:
         start, tone = (
-            f"{answer.name} against {answer.baseline}: {shouted(answer.verdict)}",
+            f"{answer.filter} against {answer.baseline}: {shouted(answer.verdict)}",
             TONES.get(answer.verdict, ""),
         )
         if answer.verdict == Verdict.NOT_EVALUATED:
-            lines += [Callout(start, tone), f"{answer.problem[:1].upper()}{answer.problem[1:]}. Settle this first."]
+            lines += [Callout(start, tone), f"{answer.reason[:1].upper()}{answer.reason[1:]}. Settle this first."]
             continue
-        lines.append(Callout(f"{start}, {answer.evidence}", tone))
-        if found := answer.would_decide:
+        lines.append(Callout(f"{start}, {evidence_text(answer)}", tone))
+        if found := would_decide(answer):
             lines.append(f"{found[:1].upper()}{found[1:]}.")
-        lines.append(answer.prediction_sentence)
+        lines.append(answer.predicted)
     if lines:
         yield Sentences(tuple(lines))
 
 
-def _answer_table(answers: Sequence[Answer]) -> DisplayTable:
+def _answer_table(answers: Sequence[AnyCandidate]) -> DisplayTable:
     """Return many candidates, a row each."""
     rows = []
     for answer in answers:
-        cells, predicted = [MISSING] * 3, (MISSING, "")
-        for row in answer.spoken[:1]:
-            cells = [label(row.quantity), ratio_text(row.ratio), interval_text(row)]
+        predicted = MISSING, ""
         if answer.verdict != Verdict.NOT_EVALUATED:
             confirmed = prediction_word(answer.predicted_pct, answer.prediction)
             pct = finite(answer.predicted_pct)
             predicted = (f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", confirmed)
-        rows.append((answer.name, shouted(answer.verdict), *cells, *predicted, answer.would_decide))
+        rows.append((answer.filter, shouted(answer.verdict), *evidence_cells(answer), *predicted, would_decide(answer)))
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
     header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted sigma", "", "")
     return DisplayTable("", header, "lllrrrll", tuple(rows), spare=(7, 4, 5, 6, (2, 3)))
 
 
-def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts: int = 0) -> Iterator[DisplayTable]:
+def _evidence_table(
+    answers: Sequence[AnyCandidate], title: str, interval: str, starts: int = 0
+) -> Iterator[DisplayTable]:
     """Yield the evidence: of one candidate with intervals and reasons, of several side by side."""
     evaluated = [answer for answer in answers if answer.verdict != Verdict.NOT_EVALUATED]
     if not evaluated or len(answers) > MOST_COLUMNS:
         return
-    rows = chosen_rows([row for answer in evaluated for row in answer.rows], MOST_ROWS[len(answers)])
+    rows = chosen_rows([row for answer in evaluated for row in answer.known], MOST_ROWS[len(answers)])
     if not rows:
         return
     footnote = over_starts(starts)
     if len(answers) > 1:
-        spoken = [row.quantity for answer in evaluated for row in answer.spoken]
+        spoken = [row.quantity for answer in evaluated for row in spoken_rows(answer)]
         quantities = list(dict.fromkeys([*spoken, *(row.quantity for row in rows)]))
         yield _side_by_side(evaluated, quantities[: max(MOST_ROWS[len(answers)], len(set(spoken)))], title, footnote)
         return
@@ -235,12 +131,12 @@ def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts
         (title, "l", "quantity:label"),
         ("", "l", "unit"),
         (answer.baseline, "r", "baseline:value"),
-        (answer.name, "r", "value:value"),
+        (answer.filter, "r", "value:value"),
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
         (interval, "r", interval_text),
         ("won", "r", lambda row: f"{row.dives_won}/{row.dives}") if is_pooled else ("n", "r", "effective_samples:0"),
         ("p", "r", "p:significant" if is_pooled else _p_text),
-        ("", "l", _verdict_with_reason),
+        ("", "l", verdict_with_reason),
     )
     folds = FOLDED * any(reason_in_words(row) for row in rows)
     yield table_of("", rows, columns, footnote, spare=(7, 6, (1, 2, 3), 5), folds=folds)
@@ -248,31 +144,26 @@ def _evidence_table(answers: Sequence[Answer], title: str, interval: str, starts
 
 def _p_text(row: Piece) -> str:
     """Write the p of a row on one dive; that of a row without a vote decides nothing."""
-    return MISSING if verdict_in_table(row).startswith("(") else decimal(row.p, 3).removeprefix("0")
+    return decimal(row.p, 3).removeprefix("0") if may_decide(row) else ""
 
 
-def _side_by_side(answers: Sequence[Answer], quantities: Sequence[str], title: str, footnote: str) -> DisplayTable:
+def _side_by_side(
+    answers: Sequence[AnyCandidate], quantities: Sequence[str], title: str, footnote: str
+) -> DisplayTable:
     """Return ratio and verdict of several candidates in the same quantities, with the values where there is room."""
-    found = {(answer.name, row.quantity): row for answer in answers for row in answer.rows}
+    found = {(answer.filter, row.quantity): row for answer in answers for row in answer.known}
     cells = []
     for quantity in quantities:
-        rows = [found.get((answer.name, quantity)) for answer in answers]
+        rows = [found.get((answer.filter, quantity)) for answer in answers]
         known = next(row for row in rows if row is not None)
         texts = [label(quantity), known.unit, significant(known.baseline, 3)]
         for row in rows:
             texts += [significant(row.value, 3), ratio_text(row.ratio), verdict_in_table(row)] if row else [MISSING] * 3
         cells.append(tuple(texts))
-    heads = (head for answer in answers for head in ("value", answer.name, ""))
+    heads = (head for answer in answers for head in ("value", answer.filter, ""))
     header = (f"{title}: ratio", "", answers[0].baseline, *heads)
     values = (1, 2, *range(3, len(header), 3))
     return DisplayTable("", header, f"llr{'rrl' * len(answers)}", tuple(cells), footnote, spare=(values,))
-
-
-def _verdict_with_reason(row: Piece) -> str:
-    """Write the verdict of a row, and why it is undecided."""
-    why = reason_in_words(row) if row.verdict == EvidenceVerdict.UNDECIDED else ""
-    text = f"{row.verdict}: {why}" if why else row.verdict
-    return f"({text})" if verdict_in_table(row).startswith("(") else text
 
 
 # --- One dive: with one candidate at most 24 lines of 80 columns.
@@ -280,7 +171,7 @@ def _verdict_with_reason(row: Piece) -> str:
 
 def dive_screen(report: Report, page: str) -> list[Part]:
     """Return the screen of one dive, whose page is at ``page``."""
-    answers = [_dive_answer(report, name) for name in report.filters]
+    answers = [answer_on_dive(report, name) for name in report.filters]
     starts = max((row.starts for row in report.tables.evidence if row.evidence == "accuracy"), default=0)
     notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
     return [
@@ -333,25 +224,25 @@ def _facts(report: Report) -> str:
 
 # --- Several dives: the pooled evidence, then a row for each dive.
 
-MOST_DIVES: Final = 20
-"""With more dives, only the failed and the worst have rows."""
+MOST_DIVES: Final = 20  # With more dives, only the failed and the worst have rows.
 MOST_FAILED, WORST, MOST_CODES = 8, 3, 3
-FAILED: Final = GateStatus.FAILED
-"""Printed instead of a verdict."""
+FAILED: Final = GateStatus.FAILED  # Printed instead of a verdict.
 
 
 def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
-    answers = _answers(outcomes)
-    pooled = [answer for answer in answers if answer.rows and isinstance(answer.rows[0], PooledRow)]
+    reports = reports_of(outcomes)
+    answers, names = answers_of(reports), candidate_names(reports)
+    pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
+    counts = "; ".join(f"{name} {verdict_counts(name, reports)}" for name in names)
     return [
         Title(_facts_of_dives(outcomes)),
         *_answer_parts(answers),
         *(part for table in _evidence_table(pooled, "all dives", "over dives") for part in (Sentences(()), table)),
         Sentences(()),
-        _dives_table(outcomes, {answer.name: answer for answer in pooled}),
-        *_verdict_counts(outcomes),
-        *_consistency_counts(reports_of(outcomes)),
+        _dives_table(outcomes, {answer.filter: answer for answer in pooled}),
+        *([f"dive by dive, by all evidence: {counts}"] if counts else []),
+        *_consistency_counts(reports),
         Code(f"all tables: -v   page: {index}", ""),
     ]
 
@@ -369,16 +260,6 @@ def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
     return ", ".join(said)
 
 
-def _verdict_counts(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Yield a line with the number of dives with each verdict, by all evidence of a dive, for each candidate."""
-    reports, texts = reports_of(outcomes), []
-    for name in dict.fromkeys(name for report in reports for name in report.filters):
-        words = Counter(report.filters[name].verdict for report in reports if name in report.filters)
-        texts.append(f"{name} {', '.join(f'{count} {shouted(word)}' for word, count in words.most_common())}")
-    if texts:
-        yield f"dive by dive, by all evidence: {'; '.join(texts)}"
-
-
 def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
     """Yield a line with the number of dives with each consistency of the innovations, for each filter."""
     texts = []
@@ -392,10 +273,10 @@ def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
         yield f"consistency (NIS): {'; '.join(texts)}{advice}"
 
 
-def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, Answer]) -> DisplayTable:
+def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, AnyCandidate]) -> DisplayTable:
     """Return a row for each dive: of each candidate the ratio and verdict in the quantity that decided over dives."""
     reports, chosen, footnotes = reports_of(outcomes), list(outcomes), list[str]()
-    names = list(dict.fromkeys(name for report in reports for name in report.filters))
+    names = candidate_names(reports)
     quantities = {name: _quantity(name, reports, answers) for name in names}
     found = {
         report.log.name: {row.filter: row for row in report.tables.evidence if row.quantity == quantities[row.filter]}
@@ -418,8 +299,7 @@ def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, Answer]) -> 
         footnotes.insert(1, "all dives: the median of the values" if name in answers else "")
         if any(row[3] != MISSING == row[4] for row in rows):
             footnotes.append(f"-: fewer than {FEWEST_SHOWN} effective samples")
-        baselines = " or ".join(sorted({report.baseline for report in reports}))
-        header = (label(quantity), f"{baselines}{unit}", f"{name}{unit}", "ratio", "on this dive", "", "")
+        header = (label(quantity), f"{baseline_names(reports)}{unit}", f"{name}{unit}", "ratio", "on this dive", "", "")
         end, folds = len(header) if any(row[-1] for row in rows) else -1, FOLDED * any(": " in row[5] for row in rows)
         cells, footnote = tuple(row[:end] for row in rows), "; ".join(filter(None, footnotes))
         return DisplayTable("", header[:end], "lrrrrll"[:end], cells, footnote, spare=((1, 2), 4), folds=folds)
@@ -451,9 +331,9 @@ def _dive_cells(outcome: Outcome, names: Sequence[str], rows: Mapping[str, Evide
     return tuple(cells)
 
 
-def _quantity(name: str, reports: Sequence[Report], answers: Mapping[str, Answer]) -> str:
+def _quantity(name: str, reports: Sequence[Report], answers: Mapping[str, AnyCandidate]) -> str:
     """Return the quantity that decided over the dives, or could have; else the first evidence of a dive."""
-    spoken = answers[name].spoken if name in answers else []
+    spoken = spoken_rows(answers[name]) if name in answers else []
     rows = (row for report in reports for row in of_filter(name, report.tables.evidence) if row.evidence != CONSISTENCY)
     return next((row.quantity for row in (*spoken, *rows)), "")
 
@@ -462,11 +342,11 @@ def _verdict_cells(report: Report, name: str, row: EvidenceRow | None) -> tuple[
     """Write the verdict of a row, and that of the whole dive with its evidence if it is another."""
     if name not in report.filters:
         return MISSING, ""
-    answer = _dive_answer(report, name)
+    answer = answer_on_dive(report, name)
     if answer.verdict == Verdict.NOT_EVALUATED:
         return shouted(answer.verdict), ""
     own = MISSING
     if row is not None:
-        own = row.verdict if interval_text(row) == MISSING else _verdict_with_reason(row)
+        own = row.verdict if interval_text(row) == MISSING else verdict_with_reason(row)
     other = answer.verdict if row is None or answer.verdict != row.verdict else ""
-    return own, f"{shouted(other)} by {answer.evidence}" if other and answer.spoken else ""
+    return own, f"{shouted(other)} by {evidence_text(answer)}" if other and answer.spoken else ""

@@ -16,22 +16,13 @@ from rich.table import Table
 from rich.text import Text
 
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.result import (
-    Callout,
-    Code,
-    DisplayTable,
-    Document,
-    Format,
-    Part,
-    Remark,
-    Sentences,
-    Title,
-)
+from insdvl_replay.core.result import Callout, Code, DisplayTable, Document, Format, Part, Remark, Sentences, Title
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Verdict
 from insdvl_replay.show.document import cell_lines, parts_for
 
 # --- A terminal: calm tables that fit 80 columns.
 
+# Words that have a colour.
 _STYLES: Final[dict[str, str]] = {
     EvidenceVerdict.BETTER: "bold green",
     EvidenceVerdict.WORSE: "bold red",
@@ -39,7 +30,6 @@ _STYLES: Final[dict[str, str]] = {
     Verdict.NOT_EVALUATED: "bold red",
     GateStatus.FAILED: "bold red",
 }
-"""Words that have a colour."""
 _TONES: Final = {"good": "bold green", "bad": "bold red"}
 _ANY_WIDTH: Final = 10_000
 

@@ -26,8 +26,9 @@ from rich.console import Console
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Prediction, Verdict
-from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
-from insdvl_replay.show.dives import Failure, index_page, summary_rows
+from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
+from insdvl_replay.show.dives import Failure, index_page, named_result, summary_rows
+from insdvl_replay.show.render import render
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.show.text import for_terminal
 
@@ -201,7 +202,7 @@ def test_three_dives_that_agree_decide_over_dives(dives: int, words: str) -> Non
     assert line == f"aided {words} drift in 30 s 0.80 {said}; predicted 6.7 % smaller sigma: {confirmed}"
     candidate = pooled_candidate("aided", "baseline", [report.tables.evidence for report in reports], dives)
     sentence = pooled_sentence(candidate)
-    assert f"smaller in {dives} of {dives} dives" in sentence
+    assert f"smaller on {dives} of {dives} dives" in sentence
     assert ("95 % interval" in sentence) == (dives == 3), "two dives have no interval that says anything"
     assert "nan" not in sentence
 
@@ -395,3 +396,9 @@ def write_golden() -> Iterator[str]:
 
 if __name__ == "__main__":
     sys.stdout.write(" ".join(write_golden()))
+
+
+def test_a_table_over_dives_that_one_dive_cannot_fill_says_why() -> None:
+    one = [judged("good", Verdict.BETTER), Failure("bad", "bad.mcap: cannot be read")]
+    text = render(named_result(one, ["pooled"], ()), "md")
+    assert "it takes two dives with the same candidate, and 1 dive could be replayed" in text

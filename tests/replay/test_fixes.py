@@ -11,7 +11,8 @@ from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Positio
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
 from insdvl_replay.core.tables import EvidenceRow
-from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence, trust_sentence
+from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.verdicts import trust_sentence
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import add_errors, exact_dive

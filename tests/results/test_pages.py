@@ -70,7 +70,7 @@ def test_index_starts_with_the_word_the_sentence_and_both_forests() -> None:
     assert (word, against) == ("BETTER", "aided against baseline")
     assert re.match(r"Drift in 30 s 20\.0\s% smaller on 3 of 3 dives \(95\s% interval over dives: ", decided)
     assert predicted.startswith("Predicted: 6.7")
-    assert counts == "Dive by dive: 3 better."
+    assert counts == "Dive by dive: 3 BETTER."
     rows = [text for text, _ in forest_rows(document)]
     assert rows[0] == "drift in 30 s0.80 better 3/3"
     assert rows[-3:] == ["dive20.78 better", "dive30.80 better", "dive10.82 better"], "the smallest ratio first"
@@ -88,7 +88,7 @@ def test_index_of_many_dives_draws_the_largest_effects() -> None:
     document = Document(index_page(dives_of_ratios(*(1.0 - 0.01 * number for number in range(25)))).decode())
     drawn = [text for text, _ in forest_rows(document) if text.startswith("dive")]
     assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive250.76 better", "dive60.95 better")
-    assert any("the 20 largest effects, 5 more in the table below" in title for title in document.texts["h3"])
+    assert any("the 20 largest effects of 25" in title for title in document.texts["h3"])
 
 
 def test_index_has_the_section_of_a_candidate_that_only_one_dive_has() -> None:

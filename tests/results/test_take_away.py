@@ -1,6 +1,7 @@
 """What is taken out of a result: figures, histories, tables for a paper, and data frames in Python."""
 
 import json
+import math
 import os
 import re
 import shutil
@@ -20,7 +21,7 @@ import insdvl_replay
 from insdvl_replay import DiveResult as Result
 from insdvl_replay import load_config, read_result, replay_log
 from insdvl_replay.cli import run_command_line
-from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.errors import ConfigError, UserError
 from insdvl_replay.core.result import DisplayTable
 from insdvl_replay.core.states import STATES
 from insdvl_replay.results import stored_results
@@ -30,7 +31,7 @@ from insdvl_replay.show.dive_page import dive_document
 from insdvl_replay.show.dives import named_result
 from insdvl_replay.show.document import number as shown_number
 from insdvl_replay.show.latex import as_latex
-from insdvl_replay.show.paper import LOOKS
+from insdvl_replay.show.paper import LOOKS, require_width
 from insdvl_replay.show.render import render
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -451,3 +452,9 @@ def test_the_notebook_runs_from_a_clean_kernel(tmp_path: Path) -> None:
         env=os.environ | {"PYTHONPATH": str(PROJECT), "TMPDIR": str(tmp_path)},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("width_mm", [0.0, -88.0, 59.9, math.nan, math.inf])
+def test_a_width_that_no_paper_has_is_refused(width_mm: float) -> None:
+    with pytest.raises(ConfigError, match="is not a width from 60 to 1000 mm"):
+        require_width(width_mm, "width_mm")

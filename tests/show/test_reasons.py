@@ -5,7 +5,8 @@ from made_reports import tables
 from msgspec.structs import replace
 
 from insdvl_replay.core.tables import EvidenceRow, PooledRow
-from insdvl_replay.show.dive import interval_text, reason_in_words
+from insdvl_replay.evaluation.answers import reason_in_words
+from insdvl_replay.show.answers import interval_text
 
 ROW = replace(tables().evidence[0], verdict="undecided", p=0.5)
 LATER = {"evidence": "convergence", "quantity": "convergence_velocity"}

@@ -12,8 +12,8 @@ from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.changes.comparison import brief_document, compare_results, opening_lines
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.words import Reason
+from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
 from insdvl_replay.evaluation.series import dives_ratio, what_settles
-from insdvl_replay.evaluation.verdicts import pooled_candidate, pooled_sentence
 from insdvl_replay.results.folder import result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results

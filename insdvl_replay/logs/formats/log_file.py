@@ -575,11 +575,14 @@ class ChunkedFile(LogFile):
             announced[topics.get(channel_id, "unknown channels")] += count
         lost = (announced - found if is_exact else announced).most_common()
         least = "" if is_exact else "at least "
-        lost_by_topic = [f"{least}{count} messages of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost]
+        lost_by_topic = [
+            f"{least}{counted(count, 'message')} of {topic} ({gap_ns[topic] * 1e-9:.3f} s)" for topic, count in lost
+        ]
         size = sum(end - start for start, end in bad)
         if not lost_by_topic and (is_exact or not (size or is_open)):
             lost_by_topic = ["no messages"]
         longest_s = max(gap_ns.values(), default=0) * 1e-9
         what = listed(lost_by_topic, _LISTED) or f"an unknown number of messages (at least {longest_s:.3f} s)"
         damaged = f", {counted_clause(size, 'bytes are damaged')}" if size else ""
-        return f"{what} are lost{damaged}{'; the end of the recording is unknown' if is_open else ''}"
+        verb = "is" if [count for _, count in lost] == [1] else "are"
+        return f"{what} {verb} lost{damaged}{'; the end of the recording is unknown' if is_open else ''}"
