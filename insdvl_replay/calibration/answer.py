@@ -11,10 +11,11 @@ import numpy as np
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.innovations import LABELS
 from insdvl_replay.calibration.rows import HeldOutRow
+from insdvl_replay.core.errors import counted
 from insdvl_replay.core.result import Callout
 from insdvl_replay.core.tables import finite
 from insdvl_replay.core.words import Estimated
-from insdvl_replay.show.document import counted, numbers_apart
+from insdvl_replay.show.document import numbers_apart
 
 NO_CHANGE: Final = 0.01  # so small a change of the drift on held-out dives is none
 MORE_DRIFT: Final = "it increases the drift on held-out dives"

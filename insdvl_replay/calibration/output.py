@@ -28,7 +28,7 @@ from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, Parame
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
-from insdvl_replay.core.errors import visible
+from insdvl_replay.core.errors import counted, visible
 from insdvl_replay.core.result import (
     LIMIT,
     PAGE,
@@ -48,11 +48,11 @@ from insdvl_replay.core.result import (
 )
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.preparation.run import FIT
-from insdvl_replay.show.document import counted, number, table_of
+from insdvl_replay.show.document import number, table_of
 from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd
-NOTHING: Final = "Nothing could be estimated: these dives have no suitable manoeuvre."
+NOT_ESTIMATED: Final = "Nothing could be estimated: these dives have no suitable manoeuvre."
 _KEPT: Final = {Estimated.HELD: "held; ", Estimated.IMPLAUSIBLE: "not proposed; "}
 _KEYS: Final = {parameter.name: parameter.key for parameter in SHARED}
 
@@ -69,7 +69,7 @@ def calibration_result(
     """Return the answer, estimates, tables and warnings."""
     answer, reference = answer_of(found), found.reference
     names = [LABELS[row.parameter] for row in found.estimated] + ["noise"] * found.proposes_noise
-    estimated = f"Estimated: {', '.join(names)}." if names else NOTHING
+    estimated = f"Estimated: {', '.join(names)}." if names else NOT_ESTIMATED
     reasons = [*_reasons(found), *map(Remark, found.warnings)]
     title = f"Calibration of the DVL from {counted(len(found.dives), 'dive')}"
     parts: list[Part] = [Title(title), *answer.lines, estimated]

@@ -40,7 +40,7 @@ from insdvl_replay.show.answers import (
     shouted,
     verdict_with_reason,
 )
-from insdvl_replay.show.document import Column, table_of
+from insdvl_replay.show.document import ShownColumn, table_of
 from insdvl_replay.show.first_screen import by_dive_forest, evidence_forest, first_screen, section
 from insdvl_replay.show.forest import ForestRow, change_of_value
 
@@ -234,7 +234,7 @@ def _said(answer: Answer) -> str:
     return "; ".join(filter(None, found))
 
 
-_COLUMNS: Final[tuple[Column, ...]] = (
+_COLUMNS: Final[tuple[ShownColumn, ...]] = (
     ("filter", "l", "filter"),
     ("evidence", "l", "quantity:label"),
     ("", "l", "unit"),

@@ -19,7 +19,7 @@ from msgspec.structs import astuple, replace
 from insdvl_replay.changes.answer import Answer, answer_screen, answer_table, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, change_text, changes_of, named_rows, within
 from insdvl_replay.changes.matching import match_dives, with_new_names
-from insdvl_replay.core.errors import ConfigError, Note, listed, natural_key, require_known
+from insdvl_replay.core.errors import ConfigError, Note, counted, listed, natural_key, require_known
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import (
     Block,
@@ -36,7 +36,7 @@ from insdvl_replay.core.result import (
 from insdvl_replay.core.tables import CANDIDATES, LAYOUTS, RATIO, Number, PooledRow, TableLayout
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results
-from insdvl_replay.show.document import FORMS, MISSING, Column, counted, table_of
+from insdvl_replay.show.document import FORMS, MISSING, ShownColumn, table_of
 
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 """What may differ outside the tables, in the order of interest."""
@@ -523,7 +523,7 @@ def _brief_differences(comparison: Comparison, most: int) -> list[str]:
 
 # --- Tables.
 
-_OLD_AND_NEW: Final[tuple[Column, ...]] = (
+_OLD_AND_NEW: Final[tuple[ShownColumn, ...]] = (
     ("old", "r", "old:cell"),
     ("new", "r", "new:cell"),
     ("change", "r", "grown"),
@@ -546,7 +546,7 @@ def _evidence_of_dive(comparison: Comparison) -> Iterator[DisplayTable]:
         if cell.table == "evidence" and cell.column in ((RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")):
             rows.setdefault((owner(cell), cell.row), cell)
     if rows:
-        named: tuple[Column, ...] = (("filter", "l", owner), ("evidence", "l", name), ("", "l", "unit"))
+        named: tuple[ShownColumn, ...] = (("filter", "l", owner), ("evidence", "l", name), ("", "l", "unit"))
         columns = (*named, *_OLD_AND_NEW[:-1])
         yield table_of("Changed evidence", rows.values(), columns, spare=(2, 3, 4))
 
@@ -563,7 +563,7 @@ def _values(changes: Sequence[Change]) -> DisplayTable:
 
 
 def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
-    columns: tuple[Column, ...] = (
+    columns: tuple[ShownColumn, ...] = (
         ("value", "l", _cell_name),
         *((key, "r", key) for key in ("dives", "better", "worse")),
         ("median\n[%]", "r", "median_change_pct:signed_percent"),

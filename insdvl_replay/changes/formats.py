@@ -11,10 +11,10 @@ from msgspec import Meta, Struct
 from insdvl_replay.changes.cells import cell_name
 from insdvl_replay.changes.gate_file import TRAJECTORY
 from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, Finding, GateOutcome
-from insdvl_replay.core.errors import visible, visible_lines
+from insdvl_replay.core.errors import counted, visible, visible_lines
 from insdvl_replay.core.result import Block, Callout, DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.words import GateStatus
-from insdvl_replay.show.document import MISSING, counted
+from insdvl_replay.show.document import MISSING
 from insdvl_replay.show.render import render
 
 # By status: word before a gate, word after a count, element of JUnit XML.

@@ -48,7 +48,7 @@ from insdvl_replay.evaluation.reference_errors import (
 )
 from insdvl_replay.evaluation.series import (
     FEWEST_EFFECTIVE,
-    NOTHING,
+    NO_INTERVAL,
     STRETCHES,
     RatioInterval,
     paired_ratio,
@@ -269,7 +269,7 @@ def evidence_table(
         for quantity, values in measured.track.get(candidate, {}).items():
             # One sample, which does not decide alone.
             ratio = values[1] / values[0] if values[0] > 0.0 else math.nan
-            interval = NOTHING._replace(ratio=ratio, effective_samples=1.0)
+            interval = NO_INTERVAL._replace(ratio=ratio, effective_samples=1.0)
             rows.append(new("track", quantity, TRACK[quantity][0], values, interval))
         is_partial = candidate in measured.partial
         sizes_of = _consistency_sizes(baseline, candidate, consistency, credibility, is_partial)
@@ -280,7 +280,7 @@ def evidence_table(
             )
             if off and now and math.isfinite(off.size) and math.isfinite(now.size):
                 ratio, word = _more_consistent(off, now)
-                interval = NOTHING._replace(ratio=ratio, effective_samples=math.nan)
+                interval = NO_INTERVAL._replace(ratio=ratio, effective_samples=math.nan)
                 rows.append(new(CONSISTENCY, quantity, "", (off.size, now.size), interval, verdict=word))
     return rows
 

@@ -230,7 +230,7 @@ class RatioInterval(NamedTuple):
         return min(self.effective_samples, self.freedom + 1.0)
 
 
-NOTHING: Final = RatioInterval(NAN, NAN, NAN, NAN, NAN, 0.0)
+NO_INTERVAL: Final = RatioInterval(NAN, NAN, NAN, NAN, NAN, 0.0)
 
 
 def paired_ratio(
@@ -256,7 +256,7 @@ def paired_ratio(
         return RatioInterval(1.0, 1.0, 1.0, 1.0, 1.0, float(baseline.size))
     compared = (baseline.any(axis=1).all() if one_run else baseline.any()) and candidate.any()
     if baseline.shape[1] < 2 or not compared:
-        return NOTHING
+        return NO_INTERVAL
     logs = 0.5 * np.log(candidate.mean(axis=1) / baseline.mean(axis=1)) if one_run else np.empty(0)
     log_ratio = float(logs.mean()) if one_run else 0.5 * float(np.log(candidate.mean() / baseline.mean())) + log_scale
 
@@ -327,7 +327,7 @@ def windows_ratio(baseline: Floats, candidate: Floats) -> RatioInterval:
     usable = np.isfinite(baseline) & np.isfinite(candidate)
     before, after = baseline[usable], candidate[usable]
     if len(before) < 2 or not (before.any() and after.any()):
-        return NOTHING
+        return NO_INTERVAL
     # The squares of a diverged filter's drifts may overflow.
     return paired_ratio(
         (before / before.max()) ** 2,
@@ -342,7 +342,7 @@ def dives_ratio(log_ratios: Floats) -> RatioInterval:
     known = log_ratios[np.isfinite(log_ratios)]
     n = len(known)
     if n < 2:
-        return NOTHING._replace(ratio=float(np.exp(known[0])) if n else NAN, effective_samples=float(n))
+        return NO_INTERVAL._replace(ratio=float(np.exp(known[0])) if n else NAN, effective_samples=float(n))
     return _student_interval(float(known.mean()), float(known.std(ddof=1)) / math.sqrt(n), n - 1.0, float(n))
 
 

@@ -11,7 +11,7 @@ from insdvl_replay.core.result import PAGE, Block, DisplayTable, Only, Part, Rep
 from insdvl_replay.core.tables import TABLES, Number, each_table, finite
 from insdvl_replay.core.words import ReferenceStatus, Verdict
 from insdvl_replay.show.answers import as_shown, of_filter, prediction_word
-from insdvl_replay.show.document import MISSING, Column, number, percent, shown, table_of
+from insdvl_replay.show.document import MISSING, ShownColumn, number, percent, shown, table_of
 
 NO_REFERENCE: Final = (
     "There is no reference, so true errors are unknown: accuracy, measured convergence, credibility and the predicted "
@@ -112,7 +112,7 @@ _SHOWN_ROWS: Final[Mapping[str, Callable[[Any], object]]] = {
     "credibility": lambda row: row.samples,
     "consistency": lambda row: is_whole(row.measurement),
 }
-_INNOVATIONS: Final[tuple[Column, ...]] = (
+_INNOVATIONS: Final[tuple[ShownColumn, ...]] = (
     ("filter", "l", "filter"),
     ("measurement", "l", "measurement:words"),
     ("NIS / dof", "r", lambda row: number(row.mean_nis if row.mean_nis is None else row.mean_nis / row.dof)),

@@ -12,7 +12,6 @@ from msgspec import Struct
 from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import Note, visible
-from insdvl_replay.core.errors import counted as counted
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import (
     PAGE,
@@ -96,13 +95,13 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
 }
 
 # Heading; alignment; the text of a cell, or the row's key with its format after a colon, such as ``sd:percent``.
-Column = tuple[str, str, Callable[[Any], CellText] | str]
+ShownColumn = tuple[str, str, Callable[[Any], CellText] | str]
 
 
 def table_of(
     title: str,
     rows: "Iterable[Any] | pd.DataFrame",
-    columns: Sequence[Column],
+    columns: Sequence[ShownColumn],
     footnote: str = "",
     spare: tuple[int | tuple[int, ...], ...] = (),
     folds: int = 0,
@@ -126,7 +125,7 @@ def _text(key: str, _: str, form: str, get: Callable[[str], Callable[[Any], Any]
 def shown(kind: type[Struct], rows: Iterable[Struct], footnote: str = "", **names: str) -> DisplayTable:
     """Return a table of rows of a type: its columns that have a head, in which ``{filter}`` is a name."""
     layout = layout_of("", kind)
-    columns: list[Column] = [
+    columns: list[ShownColumn] = [
         (column.head.format(**names), "l" if layout.kinds[name] == "text" else "r", f"{name}:{column.form}")
         for name, column in layout.columns.items()
         if column.head

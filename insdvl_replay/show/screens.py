@@ -37,7 +37,7 @@ from insdvl_replay.show.answers import (
 )
 from insdvl_replay.show.dive import NO_REFERENCE, headline_table, over_starts, track_fit_line
 from insdvl_replay.show.dives import Failure, Outcome, failed_count, reports_of
-from insdvl_replay.show.document import MISSING, Column, decimal, percent, significant, table_of
+from insdvl_replay.show.document import MISSING, ShownColumn, decimal, percent, significant, table_of
 
 
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
@@ -127,7 +127,7 @@ def _evidence_table(
         return
     [answer] = answers
     is_pooled = isinstance(rows[0], PooledRow)
-    columns: tuple[Column, ...] = (
+    columns: tuple[ShownColumn, ...] = (
         (title, "l", "quantity:label"),
         ("", "l", "unit"),
         (answer.baseline, "r", "baseline:value"),

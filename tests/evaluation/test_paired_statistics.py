@@ -12,7 +12,7 @@ from scipy.stats import ttest_1samp
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.words import EvidenceVerdict
 from insdvl_replay.evaluation.series import (
-    NOTHING,
+    NO_INTERVAL,
     RatioInterval,
     block_length,
     dives_ratio,
@@ -173,8 +173,8 @@ def test_times_that_are_not_numbers_are_left_out_and_too_few_give_nothing() -> N
     holes[[3, 40]] = np.nan, np.inf
     assert paired_ratio(holes, candidate) == paired_ratio(np.delete(baseline, [3, 40]), np.delete(candidate, [3, 40]))
     for few in (np.empty(0), np.array([1.0]), np.full(20, np.nan)):
-        np.testing.assert_equal(paired_ratio(few, few + 1.0), NOTHING)
-    np.testing.assert_equal(paired_ratio(baseline, np.zeros(60)), NOTHING)
+        np.testing.assert_equal(paired_ratio(few, few + 1.0), NO_INTERVAL)
+    np.testing.assert_equal(paired_ratio(baseline, np.zeros(60)), NO_INTERVAL)
 
 
 def test_long_series_are_averaged_and_as_sure_as_they_scatter() -> None:
@@ -242,7 +242,7 @@ def test_windows_ratio_is_that_of_root_mean_squares() -> None:
     assert windows_ratio(baseline, candidate).ratio == pytest.approx(0.5)
     assert windows_ratio(baseline, 1e200 * candidate).ratio == pytest.approx(0.5e200)
     for few in (np.empty(0), np.ones(1)):
-        np.testing.assert_equal(windows_ratio(few, 2.0 * few), NOTHING)
+        np.testing.assert_equal(windows_ratio(few, 2.0 * few), NO_INTERVAL)
 
 
 # --- Words.
@@ -289,7 +289,7 @@ def test_p_is_students_of_the_interval(freedom: float) -> None:
     found = RatioInterval(0.8, *ends.tolist(), 20.0, freedom)
     assert found.log_sd == pytest.approx(0.1, rel=1e-5)
     assert found.p == pytest.approx(student_t.sf(-np.log(0.8 * 1.05) / 0.1, freedom), rel=1e-4)
-    assert np.isnan(NOTHING.p)
+    assert np.isnan(NO_INTERVAL.p)
 
 
 # --- One stretch is one sample.
@@ -357,7 +357,7 @@ def test_what_settles_is_the_number_of_dives_that_find_ten_percent() -> None:
     logs = 0.04 * np.array([-1.0, 0.0, 1.0])
     assert re.findall(r"\d+", what_settles(dives_ratio(logs), 3)) == ["11", "10"]
     assert what_settles(dives_ratio(0.1 * logs), 3) == "", "three are enough"
-    assert what_settles(NOTHING, 3) == ""
+    assert what_settles(NO_INTERVAL, 3) == ""
     drawn = np.random.default_rng(3).normal(-np.log(1.1), 0.04, (1000, 11))
     found = sum(verdict_of_interval(dives_ratio(one), 3) == EvidenceVerdict.BETTER for one in drawn)
     assert 770 <= found <= 850, "four of five"
@@ -411,7 +411,7 @@ def test_one_run_is_compared_in_the_mean_of_logarithms() -> None:
     # ln 6, ln 3 and ln 1.5 have a standard deviation of ln 2; the one run's start adds to that of the mean.
     width = np.log(2.0) * np.sqrt(1.0 + 1.0 / 3.0)
     assert np.log(interval.high / interval.ratio) == pytest.approx(4.303 * width, rel=0.02)
-    assert paired_ratio(np.vstack([base, base]), np.full(400, np.nan)) == NOTHING
+    assert paired_ratio(np.vstack([base, base]), np.full(400, np.nan)) == NO_INTERVAL
 
 
 def test_interval_of_independent_pairs_is_students() -> None:
