@@ -60,6 +60,9 @@ _OFF_ONE: Final = ("nis", "nees")
 _Pairs = Sequence[tuple[StoredResult, StoredResult]]
 
 
+_SIDES: Final = (ChangeVerdict.NEW, ChangeVerdict.GONE)
+
+
 class Difference(Struct, frozen=True):
     """One difference outside the tables, which may explain a changed number."""
 
@@ -401,7 +404,8 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
 
 def brief_document(comparison: Comparison, *, everything: bool = False) -> list[Part]:
     """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence."""
-    several = len(comparison.matched) > 1
+    several, one_sided = len(comparison.matched) > 1, _one_sided(comparison)
+    comparison = replace(comparison, changes=tuple(cell for cell in comparison.changes if cell.verdict not in _SIDES))
     tables = list(answer_table(comparison.answers, everything=everything) if several else _evidence_of_dive(comparison))
     if not (tables or several) and 0 < len(moved := only_changed(comparison).changes) <= MOST_OTHERS:
         tables = [_values(moved)]
@@ -409,7 +413,14 @@ def brief_document(comparison: Comparison, *, everything: bool = False) -> list[
     found = f"changed values by table: {', '.join(elsewhere)}" if elsewhere else "no value changed"
     same = counted(comparison.total.counts[ChangeVerdict.SAME], "value")
     last = f"{found}; {same} the same. All values: --all. One table: --table NAME"
-    return _document(comparison, _changed_verdicts(comparison), tables, _MOST_DIFFERENCES, [Sentences((last,))])
+    closing = Sentences((*one_sided, last))
+    return _document(comparison, _changed_verdicts(comparison), tables, _MOST_DIFFERENCES, [closing])
+
+
+def _one_sided(comparison: Comparison) -> list[str]:
+    """Count the values that only one side has."""
+    counts = [(comparison.total.counts[word], side) for word, side in zip(_SIDES, ("new", "old"), strict=True)]
+    return [f"only in the {side} results: {counted(count, 'value')}" for count, side in counts if count]
 
 
 def comparison_document(comparison: Comparison) -> list[Part]:

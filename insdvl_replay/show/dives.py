@@ -117,6 +117,8 @@ def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
     return rows_csv(PooledRow.__struct_fields__, map(astuple, pooled_rows(outcomes))).encode()
 
 
+NO_EVIDENCE: Final = "no evidence. Accuracy takes a reference, the DVL outage test a dive of some minutes."
+
 # --- The tables over all dives that `--table` names.
 
 # Evidence rows of the summary, where a dive has them.
@@ -136,8 +138,11 @@ def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Seque
     return replay_result(reports, [*parts, *shown_tables], names, rows)
 
 
-def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     for answer in pooled_answers(reports_of(outcomes)):
+        if not answer.rows:
+            yield f"{answer.filter} against {answer.baseline}: {NO_EVIDENCE}"
+            continue
         yield shown(PooledRow, map(as_shown, answer.rows), filter=answer.filter, baseline=answer.baseline)
 
 
@@ -181,8 +186,8 @@ OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]
 
 def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
     """Return several dives as a document: the pooled verdict, a row for each dive and candidate, pooled rows."""
-    table, *pooled = _tables(outcomes)
-    return [*_opening(outcomes, linked=False), replace(table, links=None), *pooled]
+    tables = [replace(part, links=None) if isinstance(part, DisplayTable) else part for part in _tables(outcomes)]
+    return [*_opening(outcomes, linked=False), *tables]
 
 
 def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
@@ -234,7 +239,7 @@ _ALIGNMENT: Final = "llllrrrlrrlrl"
 _WITH_REFERENCE: Final = (7, 8, 9)  # Columns that are empty without a reference.
 
 
-def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
+def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     """Yield the table of dives, each with a link to its page, and the pooled evidence."""
     rows, links = [], []
     for outcome in outcomes:

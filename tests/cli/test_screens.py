@@ -402,3 +402,10 @@ def test_a_table_over_dives_that_one_dive_cannot_fill_says_why() -> None:
     one = [judged("good", Verdict.BETTER), Failure("bad", "bad.mcap: cannot be read")]
     text = render(named_result(one, ["pooled"], ()), "md")
     assert "it takes two dives with the same candidate, and 1 dive could be replayed" in text
+
+
+def test_dives_without_evidence_have_a_sentence_instead_of_an_empty_table() -> None:
+    bare = [replace(found, tables=replace(found.tables, evidence=[])) for found in map(report, ("one", "two"))]
+    page = index_page(bare).decode()
+    assert "<tbody></tbody>" not in page
+    assert "aided against baseline: no evidence." in page
