@@ -202,15 +202,15 @@ def _sentences(tables: Mapping[str, pd.DataFrame]) -> Iterator[str]:
             yield f"{rank}."
             continue
         names = [*unseen.get(row.aiding, []), *([f"{row.unnamed} without a name"] if row.unnamed else [])]
-        gap = f", where the singular values fall by a factor of {row.gap:.0e}" if np.isfinite(row.gap) else ""
+        gap = f"; the next singular value is {row.gap:.0e} times smaller" if np.isfinite(row.gap) else ""
         yield f"{rank}{gap}; unobservable: {', '.join(names)}."
     for aiding, states in tables["states"].groupby("aiding", sort=False):
         less = states[states["left_pct"] > _GROWN_PCT]  # not visible in the rank
         named = zip(less["state"], less["left_pct"], strict=True)
         if grown := "; ".join(f"{label(state)} ({left_pct:.0f} %)" for state, left_pct in named):
-            yield f"{aiding}: with process noise, less certain after the last ping than at the start: {grown}."
+            yield f"{aiding}: sigma is larger after the last ping than at the start, by process noise: {grown}."
         else:
-            yield f"{aiding}: with process noise, no state is less certain after the last ping than at the start."
+            yield f"{aiding}: after the last ping, no sigma is larger than at the start."
 
 
 def _display(tables: Mapping[str, pd.DataFrame]) -> Iterator[DisplayTable]:

@@ -365,7 +365,7 @@ def test_left_after_the_last_ping_may_be_more_than_at_the_start() -> None:
     drifted_deg = np.hypot(0.5, 10.0 / 3600.0 * 423.4)
     assert heading["left_pct"] == pytest.approx(100.0 * drifted_deg / 0.5, rel=0.01)
     assert heading["left_without_noise_pct"] < 100.0
-    (sentence,) = (text for text in report.sentences if text.startswith("velocity: with process noise"))
+    (sentence,) = (text for text in report.sentences if text.startswith("velocity: sigma is larger"))
     assert f"misalignment, down ({heading['left_pct']:.0f} %)" in sentence
 
 
