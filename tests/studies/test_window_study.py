@@ -166,7 +166,7 @@ def test_dive_without_reference_says_so() -> None:
 
 
 def test_windows_longer_than_the_dive_say_so() -> None:
-    with pytest.raises(LogError, match=r" 100 .* 60 ") as caught:
+    with pytest.raises(LogError, match=r" 60 .* 100 ") as caught:
         dive_windows(exact_dive("straight", duration_s=60.0), load_config(), 100)
     assert "--longest 50" in caught.value.hint
 
