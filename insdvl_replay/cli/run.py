@@ -266,7 +266,8 @@ def outcomes_without_settings(
             yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
             return
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
-    if not isinstance(first.result, UserError):
+    # No settings help where the result cannot be written.
+    if not isinstance(first.result, UserError) or str(first.result).startswith(str(first.job.target)):
         yield first
         if dives[1:]:
             yield from outcomes_as_planned(with_options(dives[1:]), jobs, None, force=force, rerun=rerun)
@@ -293,7 +294,7 @@ def is_finding(note: "Note") -> bool:
 
 
 def log_findings(notes: "Sequence[Note]", target: Path, *, shows: bool) -> None:
-    """Print what was found or assumed of a vehicle without settings, the most doubtful first."""
+    """Print what was found or assumed of a vehicle without settings, warnings first."""
     from insdvl_replay.cli.messages import log_to_stderr
 
     findings = [note for note in notes if is_finding(note) and shows]

@@ -83,7 +83,7 @@ class FoundSettings:
     """Settings with which dives can be replayed, and what was found or assumed."""
 
     config: Config
-    notes: tuple[Note, ...]  # the most doubtful first
+    notes: tuple[Note, ...]  # warnings first
 
     @property
     def text(self) -> str:
@@ -133,8 +133,8 @@ def _later(dive: Dive, latency_s: float) -> Dive:
     return replace(dive, dvl=replace(dive.dvl, time_ns=time_ns))
 
 
-def _note(code: str, text: str, hint: str = "", *, doubtful: bool = False) -> Note:
-    return Note(code, text, 1, Severity.WARNING if doubtful else Severity.INFO, hint)
+def _note(code: str, text: str, hint: str = "", *, warn: bool = False) -> Note:
+    return Note(code, text, 1, Severity.WARNING if warn else Severity.INFO, hint)
 
 
 def _set(config: Config, section: str, **values: Any) -> Config:
@@ -323,13 +323,13 @@ def _role_notes(
 ) -> Iterator[Note]:
     """Report the topics and axes that were chosen, and which others are as good."""
     trials, imu, dvl_topic = tried[0]
-    parts, doubtful = [f"IMU {imu.topic}"], False
+    parts, warn = [f"IMU {imu.topic}"], False
     others = {found.topic: run.cost / trials.cost for run, found, _ in reversed(tried[1:]) if found is not imu}
     if others:
         parts.append(
             "innovations of others: " + ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in others.items())
         )
-        doubtful = min(others.values()) * CLEARLY < 1.0
+        warn = min(others.values()) * CLEARLY < 1.0
     if (best.axes, best.force_axes) != (imu.as_read.axes, imu.as_read.force_axes):
         parts.append(f"axes {best.axes}" + (f", of forces {best.force_axes}" if best.force_axes != best.axes else ""))
     settings, scale = imu.settings, imu.settings.angular_rate_scale * best.rate_scale
@@ -337,13 +337,13 @@ def _role_notes(
         parts.append("rates in deg/s")
     elif scale != 1.0:
         parts.append(f"gyros read {scale:.3g} times the true rate")
-        doubtful = True
+        warn = True
     if settings.specific_force_unit is not None:
         parts.append(f"forces in {settings.specific_force_unit}")
     if settings.specific_force_scale != 1.0:
         parts.append(f"accelerometers read {settings.specific_force_scale:.3g} times gravity")
-        doubtful = True
-    yield _note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', doubtful=doubtful)
+        warn = True
+    yield _note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn)
     for other in imus:
         if other is imu:
             continue
@@ -357,7 +357,7 @@ def _role_notes(
     text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
     if apart:
         text += f"; also possible: {' or '.join(map(_rpy, sorted(apart)))}"
-    yield _note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", doubtful=bool(apart))
+    yield _note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=bool(apart))
 
 
 def _rpy(rpy_deg: Sequence[float]) -> str:
@@ -386,7 +386,7 @@ def _with_latitude(paths: Paths, config: Config, notes: list[Note], *, allow_dam
         f"latitude assumed {UNKNOWN_LATITUDE_DEG:g} deg, since the log has none: this costs up to 11 deg of heading in "
         "an hour (26 deg south of the equator)"
     )
-    notes.append(_note("found_latitude", text, "to set it: initial.latitude_deg", doubtful=True))
+    notes.append(_note("found_latitude", text, "to set it: initial.latitude_deg", warn=True))
     return _set(config, "initial", latitude_deg=UNKNOWN_LATITUDE_DEG)
 
 
@@ -423,7 +423,7 @@ def _with_heading(dives: Sequence[Dive], config: Config, notes: list[Note]) -> t
             started = _set(config, "initial", heading_deg=fitted.heading_deg, gyro_bias_degph=bias_degph).initial
             return _set(config, "initial", heading_deg=FIT), started
     text = "start heading assumed 0, since nothing in the log gives it: tracks and headings are relative to the start"
-    notes.append(_note("found_heading", text, "to set it: initial.heading_deg", doubtful=True))
+    notes.append(_note("found_heading", text, "to set it: initial.heading_deg", warn=True))
     return config, config.initial
 
 
@@ -436,9 +436,7 @@ def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Con
     try:
         found = calibrate_dives(_parts(read), config, ALL_GROUPS, hold_out=["0.3"], windows_s=("60", "30")).found
     except UserError as error:
-        notes.append(
-            _note("found_calibration", f"the geometry of the DVL was not calibrated: {error.what}", doubtful=True)
-        )
+        notes.append(_note("found_calibration", f"the geometry of the DVL was not calibrated: {error.what}", warn=True))
         return config
     answer = answer_of(found)
     if not any(row.windows for row in found.held_out):
@@ -451,16 +449,14 @@ def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Con
     ]
     tested = _drift_sentence(found)
     if answer.keeps_geometry:
-        notes.append(_note("found_calibration", f"calibration of the DVL not applied: {tested}", doubtful=True))
+        notes.append(_note("found_calibration", f"calibration of the DVL not applied: {tested}", warn=True))
     elif changes:
         text = "calibrated on the first half: " if len(dives) == 1 else "calibrated: "
         notes.append(_note("found_calibration", f"{text}{', '.join(changes)}; {tested}"))
         config = with_dvl(config, better.after.rounded())
     else:
         text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
-        notes.append(
-            _note("found_calibration", text, "a dive with turns and changes of speed shows them", doubtful=True)
-        )
+        notes.append(_note("found_calibration", text, "a dive with turns and changes of speed shows them", warn=True))
     if answer.keeps_geometry:
         # A noise belongs to the geometry with which it was fitted.
         found = calibrate_dives(_parts(read), config, [NOISE], hold_out=["0.3"]).found
@@ -521,5 +517,5 @@ def _levelled(dive: Dive, config: Config, started: Initial, preset: str, notes: 
     is_fitting = LEAST_NIS < size < MOST_NIS
     if not is_fitting:
         text += f"; NIS/dof is still {size:.2g}, which no noise of a DVL explains"
-    notes.append(_note("found_noise", text, doubtful=not is_fitting))
+    notes.append(_note("found_noise", text, warn=not is_fitting))
     return _set(config, "dvl", **{key: sd_mps})

@@ -192,7 +192,11 @@ def commands() -> dict[str, set[str]]:
 
 def _commands(name: str, command: Any) -> Iterator[tuple[str, set[str]]]:
     """Give a command with its options, and those below it."""
-    yield name, {"--help"} | {option for parameter in command.params for option in parameter.opts}
+    yield (
+        name,
+        {"--help"}
+        | {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)},
+    )
     for below, child in getattr(command, "commands", {}).items():
         yield from _commands(f"{name} {below}".strip(), child)
 
