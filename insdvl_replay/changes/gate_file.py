@@ -178,11 +178,7 @@ def _check_gate(gate: Gate) -> None:
         rules += [
             (not gate.column, f"{name} names no column", EXAMPLE),
             (foreign, on_samples, "min, max, or max_worse_abs"),
-            (
-                pooled_only,
-                f"{name}: pooled evidence has no expected values and no single dives",
-                "min, max or equals",
-            ),
+            (pooled_only, f"{name}: pooled evidence has no expected values and no single dives", "min, max or equals"),
             (unknown, f"expected: {' '.join(unknown[:1])} is not known", f"use {LOG} for the dive's name"),
             (no_limits and not_stored, f"{name} has no condition", "add min, max, equals or expected"),
             (not_stored != no_allowance, together, hint),

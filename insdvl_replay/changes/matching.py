@@ -49,8 +49,7 @@ def match_dives(
         if any(other.name == result.name or (digest and other.report.log.sha256 == digest) for other in before):
             folders = [str(other.folder) for other in (*before, *after) if other.name == result.name]
             raise ConfigError(
-                f"{result.name}: several results could match: {', '.join(folders)}",
-                "name the two folders to compare",
+                f"{result.name}: several results could match: {', '.join(folders)}", "name the two folders to compare"
             )
     if not found:
         old_names, new_names = ([result.name for result in results] for results in (old, new))

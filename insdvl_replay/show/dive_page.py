@@ -117,11 +117,7 @@ def closing_lines(report: Report) -> tuple[str, ...]:
 
 def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
     """Return the page of a replay; the same replay gives the same bytes."""
-    sensors = captioned(
-        "Data coverage",
-        "Height: share of the time with valid samples. A dip is a gap.",
-        strips,
-    )
+    sensors = captioned("Data coverage", "Height: share of the time with valid samples. A dip is a gap.", strips)
     log = report.log
     origin = {
         "log": log.name,

@@ -6,11 +6,10 @@ from typing import Final
 from urllib.parse import quote
 
 from msgspec import Struct
-from msgspec.structs import astuple
 
 from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import is_whole, label
-from insdvl_replay.core.result import PAGE, PRINTED, Callout, DisplayTable, Only, Part, Report, Result, Title
+from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Report, Result, Title
 from insdvl_replay.core.tables import Number, PooledRow
 from insdvl_replay.core.words import Severity, Verdict
 from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_sentence
@@ -28,7 +27,7 @@ from insdvl_replay.show.answers import (
 )
 from insdvl_replay.show.dive import TOGETHER, replay_result
 from insdvl_replay.show.dive_page import dive_section
-from insdvl_replay.show.document import MISSING, number, percent, rows_csv, shown
+from insdvl_replay.show.document import MISSING, number, percent, shown, table_csv, table_of
 from insdvl_replay.show.first_screen import DIVE_PAGE, dives_forest, evidence_forest, first_screen, section
 from insdvl_replay.show.page import SIGNATURE, page
 
@@ -96,11 +95,6 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
             yield SummaryRow(outcome.log.name, name, *gains, *positions, *words)
 
 
-def summary_csv(outcomes: Sequence[Outcome]) -> bytes:
-    """Write the summary as CSV."""
-    return rows_csv(SummaryRow.__struct_fields__, map(astuple, summary_rows(outcomes))).encode()
-
-
 def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
     """Return the baseline's and a candidate's rms position error."""
     rows = (row for row in report.tables.reference_error if (row.filter, row.quantity) == (name, quantity))
@@ -110,11 +104,6 @@ def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | No
 def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
     """Return the pooled evidence on all candidates."""
     return [row for answer in pooled_answers(reports_of(outcomes)) for row in answer.rows]
-
-
-def evidence_csv(outcomes: Sequence[Outcome]) -> bytes:
-    """Write the pooled evidence of several dives, as CSV."""
-    return rows_csv(PooledRow.__struct_fields__, map(astuple, pooled_rows(outcomes))).encode()
 
 
 NO_EVIDENCE: Final = "no evidence. Accuracy takes a reference, the DVL outage test a dive of some minutes."
@@ -176,10 +165,14 @@ def index_page(outcomes: Sequence[Outcome]) -> bytes:
     return page([*_opening(outcomes, linked=True), *_tables(outcomes)], "sorting.js")
 
 
+def _first_line(kind: type[Struct]) -> bytes:
+    return table_csv(Block.of(kind, ()))
+
+
 # The files of several dives together: the function that writes each, and its first bytes.
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
-    "summary.csv": (summary_csv, rows_csv(SummaryRow.__struct_fields__, ()).encode()),
-    "evidence.csv": (evidence_csv, rows_csv(PooledRow.__struct_fields__, ()).encode()),
+    "summary.csv": (lambda outcomes: table_csv(Block.of(SummaryRow, summary_rows(outcomes))), _first_line(SummaryRow)),
+    "evidence.csv": (lambda outcomes: table_csv(Block.of(PooledRow, pooled_rows(outcomes))), _first_line(PooledRow)),
     INDEX: (index_page, SIGNATURE.encode()),
 }
 
@@ -231,44 +224,52 @@ MEANS: Final = (
     "evidence: the row that decided, or could have, with its ratio; predicted: how much smaller sigma is, mean of nine "
     "states, by the filter's own covariance"
 )
-_HEADER: Final = (
-    "dive", "filter", "verdict", "evidence", "ratio", "interval", "predicted", "prediction", "baseline\nposition [m]",
-    "candidate\nposition [m]", "consistency", "warnings", "reason of failure",
-)  # fmt: skip
-_ALIGNMENT: Final = "llllrrrlrrlrl"
-_WITH_REFERENCE: Final = (7, 8, 9)  # Columns that are empty without a reference.
+_COLUMNS: Final = (
+    ("dive", "l", "dive"),
+    ("filter", "l", "filter"),
+    ("verdict", "l", "verdict"),
+    ("evidence", "l", "evidence"),
+    ("ratio", "r", "ratio"),
+    ("interval", "r", "interval"),
+    ("predicted", "r", "predicted"),
+    ("prediction", "l", "prediction"),
+    ("baseline\nposition [m]", "r", "baseline_m"),
+    ("candidate\nposition [m]", "r", "candidate_m"),
+    ("consistency", "l", "consistency"),
+    ("warnings", "r", "warnings"),
+    ("reason of failure", "l", "reason"),
+)
+_WITH_REFERENCE: Final = ("prediction", "baseline_m", "candidate_m")  # Columns that are empty without a reference.
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     """Yield the table of dives, each with a link to its page, and the pooled evidence."""
-    rows, links = [], []
-    for outcome in outcomes:
-        if isinstance(outcome, Failure):
-            rows.append((outcome.log, *[MISSING] * 11, outcome.reason))
-            links.append("")
-            continue
-        warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
-        if not outcome.filters:
-            rows.append((outcome.log.name, outcome.baseline, *[MISSING] * 9, str(warnings), ""))
-            links.append(f"{quote(outcome.log.name)}/{DIVE_PAGE}")
-        for name, candidate in outcome.filters.items():
-            positions = map(number, _position_rmse(outcome, name, "position_h"))
-            answer, predicted = answer_on_dive(outcome, name), [MISSING, MISSING]
-            if answer.verdict != Verdict.NOT_EVALUATED:
-                predicted = [percent(answer.predicted_pct)]
-                predicted += [prediction_word(answer.predicted_pct, answer.prediction) or MISSING]
-            found = (answer.verdict, *evidence_cells(answer), *predicted, *positions, candidate.consistency)
-            rows.append((outcome.log.name, name, *found, str(warnings), ""))
-            links.append(f"{quote(outcome.log.name)}/{DIVE_PAGE}")
+    rows = [row for outcome in outcomes for row in _dive_rows(outcome)]
     known = any(has_reference(report) for report in reports_of(outcomes))
-    left_out = {*(() if known else _WITH_REFERENCE), *(() if failed_count(outcomes) else (len(_HEADER) - 1,))}
-    kept = [place for place in range(len(_HEADER)) if place not in left_out]
-    yield DisplayTable(
-        "Each candidate against its baseline",
-        tuple(_HEADER[place] for place in kept),
-        "".join(_ALIGNMENT[place] for place in kept),
-        tuple(tuple(cells[place] for place in kept) for cells in rows),
-        f"{MEANS}; position: rms of the horizontal error" if known else MEANS,
-        links=tuple(links),
-    )
+    left_out = {*(() if known else _WITH_REFERENCE), *(() if failed_count(outcomes) else ("reason",))}
+    columns = [column for column in _COLUMNS if column[2] not in left_out]
+    footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
+    links = tuple(f"{quote(row['dive'])}/{DIVE_PAGE}" if not row["reason"] else "" for row in rows)
+    yield replace(table_of("Each candidate against its baseline", rows, columns, footnote), links=links)
     yield from _pooled_tables(outcomes)
+
+
+def _dive_rows(outcome: Outcome) -> Iterator[dict[str, str]]:
+    """Yield a row for each candidate of a dive, with text for each column."""
+    empty = dict.fromkeys((key for _, _, key in _COLUMNS), MISSING)
+    if isinstance(outcome, Failure):
+        yield empty | {"dive": outcome.log, "reason": outcome.reason}
+        return
+    warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
+    empty |= {"dive": outcome.log.name, "warnings": str(warnings), "reason": ""}
+    if not outcome.filters:
+        yield empty | {"filter": outcome.baseline}
+    for name, candidate in outcome.filters.items():
+        row = empty | {"filter": name, "consistency": candidate.consistency}
+        row |= zip(("baseline_m", "candidate_m"), map(number, _position_rmse(outcome, name, "position_h")), strict=True)
+        answer = answer_on_dive(outcome, name)
+        row |= zip(("verdict", "evidence", "ratio", "interval"), (answer.verdict, *evidence_cells(answer)), strict=True)
+        if answer.verdict != Verdict.NOT_EVALUATED:
+            row["predicted"] = percent(answer.predicted_pct)
+            row["prediction"] = prediction_word(answer.predicted_pct, answer.prediction) or MISSING
+        yield row

@@ -127,8 +127,7 @@ def paper_canvas(figure: Figure, width_mm: float, *, headed: bool = False) -> "C
     row_mm = min(row_mm, max(_LOW_MM, 0.3 * panel_mm)) if is_shared else row_mm
     with style.context(["default", _STYLE]):
         canvas = Shown(
-            figsize=(width_mm / _MM_PER_INCH, (rows * row_mm + 10.0 * headed) / _MM_PER_INCH),
-            layout="constrained",
+            figsize=(width_mm / _MM_PER_INCH, (rows * row_mm + 10.0 * headed) / _MM_PER_INCH), layout="constrained"
         )
         FigureCanvasAgg(canvas)
         grid = canvas.subplots(rows, columns, squeeze=False, sharex=is_shared)

@@ -25,16 +25,16 @@ from insdvl_replay.core.tables import (
 from insdvl_replay.core.words import Reason
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.result_files import run_log
+from insdvl_replay.show.answers import verdict_in_table
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
     heading,
     headline_table,
     replay_result,
     track_fit_line,
-    verdict_in_table,
 )
 from insdvl_replay.show.dive_page import closing_lines, dive_document
-from insdvl_replay.show.dives import Failure, summary_csv
+from insdvl_replay.show.dives import OVERVIEWS, Failure
 from insdvl_replay.show.document import number, percent, table_csv
 from insdvl_replay.show.latex import as_latex
 from insdvl_replay.show.page import page
@@ -132,7 +132,7 @@ def test_report_from_before_there_were_these_columns_is_still_read() -> None:
     assert "Consistency" in as_markdown(dive_document(early))
     assert "Innovations" not in as_markdown(dive_document(early))
     assert NO_REFERENCE not in as_markdown(dive_document(early))
-    assert b"velocity consistent; acceleration overconfident," in summary_csv([early])
+    assert b"velocity consistent; acceleration overconfident," in OVERVIEWS["summary.csv"][0]([early])
 
 
 @pytest.mark.parametrize("name", sorted(SCHEMAS))
@@ -273,7 +273,9 @@ def test_csv_of_a_report_is_cut_apart_by_its_first_column() -> None:
 
 def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
     rows = list(
-        csv.DictReader(io.StringIO(summary_csv([report("one"), Failure("two", "two.mcap: is empty")]).decode()))
+        csv.DictReader(
+            io.StringIO(OVERVIEWS["summary.csv"][0]([report("one"), Failure("two", "two.mcap: is empty")]).decode())
+        )
     )
     assert [(row["log"], row["filter"], row["status"]) for row in rows] == [
         ("one", "aided", "done"),
