@@ -53,7 +53,7 @@ def fit(measured: Complex, true: Complex) -> Fit:
 
 def dvl_by_velocity(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> Fit | None:
     """Compare the DVL's horizontal velocity in body axes with the reference's; None where too few rows move."""
-    return _horizontal_fit(*_velocity_pairs(dvl, reference, config))
+    return _horizontal_fit(*velocity_pairs(dvl, reference, config))
 
 
 def _horizontal_fit(measured_b: Floats, true_b: Floats) -> Fit | None:
@@ -62,7 +62,7 @@ def _horizontal_fit(measured_b: Floats, true_b: Floats) -> Fit | None:
     return fit(measured[moving], true[moving]) if np.count_nonzero(moving) >= ENOUGH else None
 
 
-def _velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> tuple[Floats, Floats]:
+def velocity_pairs(dvl: DvlColumns, reference: ReferenceColumns, config: Config) -> tuple[Floats, Floats]:
     """Return the velocities of DVL and reference in body axes, (k, 3), at times of the reference that have both."""
     ping_ns, measured_b = velocities_b(dvl, config)
     if len(ping_ns) < ENOUGH:
@@ -121,7 +121,7 @@ def dvl_remarks(place: str, dvl: DvlColumns, reference: ReferenceColumns | None,
     if reference is None:
         return
 
-    measured_b, true_b = _velocity_pairs(dvl, reference, config)
+    measured_b, true_b = velocity_pairs(dvl, reference, config)
     found = _horizontal_fit(measured_b, true_b)
     # Below 0.015 m/s a DVL shows its noise. Sound logs have correlations of more than 0.7.
     opposite = [

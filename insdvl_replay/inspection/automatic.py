@@ -49,14 +49,14 @@ from insdvl_replay.inspection.trial_runs import (
 from insdvl_replay.inspection.trials import (
     CLEARLY,
     DEG_PER_S,
+    LEAST_MPS,
     NOT_FAR_OFF,
     Hypothesis,
     Trials,
-    quarters_to_reference,
+    as_reference_moves,
     rates_compared,
     thinned,
     trial_config,
-    turned_about_down,
 )
 from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vectors
 from insdvl_replay.logs.columns.tables import read_tables
@@ -74,7 +74,6 @@ MOST_ROUNDS: Final = 4  # in which it is changed
 WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
 SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
 SPINNING_RADPS: Final = 1.0
-LEAST_MPS: Final = 0.03  # a vehicle that is slower in the median shows no mounting
 Paths = Sequence[Path]
 
 
@@ -109,8 +108,9 @@ def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool
     report_stage("finding the settings")
     dives = dives[:MOST_DIVES]
     notes: list[Note] = []
-    config = _with_roles(dives[0], config, notes, allow_damaged=allow_damaged)
-    config = _with_latitude(dives[0], config, notes, allow_damaged=allow_damaged)
+    readings = _read(dives[0], config, allow_damaged=allow_damaged)
+    config = _with_latitude(_with_roles(readings, config, notes), readings.reference, notes)
+    del readings
     report_stage("reading the log")
     read = [read_checked_dive(paths, config, allow_damaged=allow_damaged) for paths in dives]
     config = _with_start(read[0], config)
@@ -213,9 +213,8 @@ def _read(paths: Paths, config: Config, *, allow_damaged: bool) -> _Readings:
     return _Readings(place, draft, imus, pings, columns.reference)
 
 
-def _with_roles(paths: Paths, config: Config, notes: list[Note], *, allow_damaged: bool) -> Config:
-    """Choose the topics of IMU, DVL and reference by trial runs, with their units, axes and signs."""
-    read = _read(paths, config, allow_damaged=allow_damaged)
+def _with_roles(read: _Readings, config: Config, notes: list[Note]) -> Config:
+    """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs."""
     place, draft, imus, pings = read.place, read.draft, read.imus, read.pings
     tried: list[tuple[Trials, _ImuTopic, str]] = []
     for imu in track_progress("trying IMUs and DVLs", imus):
@@ -229,16 +228,14 @@ def _with_roles(paths: Paths, config: Config, notes: list[Note], *, allow_damage
             trials.vary()
     tried.sort(key=lambda found: found[0].cost)
     trials, imu, dvl_topic = tried[0]
-    best = trials.ordered[0]
-    if not np.isfinite(best.cost):
+    if not np.isfinite(trials.cost):
         raise LogError(
-            f"{place}: IMU and DVL have no common time, or too few pings to try settings",
+            "IMU and DVL have no common time, or too few pings to try settings",
             "compare their times: insdvl-replay inspect",
+            place,
         )
-    dvl_of = _set(draft, "dvl", mounting_rpy_deg=best.rpy_deg)
-    dive = Dive("", best.applied(imu.columns), pings[dvl_topic], reference=read.reference)
-    if (quarters := quarters_to_reference(dive, dvl_of)) % 4:
-        best = turned_about_down(best, quarters)
+    dive = Dive("", imu.columns, pings[dvl_topic], reference=read.reference)
+    best = as_reference_moves(trials.close, dive, draft)
     looks = pings[dvl_topic].look_d
     notes += _role_notes(tried, best, imus)
     draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, config.imu, is_alone=len(imus) == 1))
@@ -352,7 +349,7 @@ def _role_notes(
         if correlation > 0.9 and not 0.95 < ratio * own / best.rate_scale < 1.05:
             text = f"the gyros of {other.topic} read {ratio * own / best.rate_scale:.3g} times those of {imu.topic}"
             yield _note("found_imus_differ", text)
-    rivals = [one for one in trials.ordered if one.cost * CLEARLY < trials.cost and one.rpy_deg != best.rpy_deg]
+    rivals = [one for one in trials.close if one.rpy_deg != best.rpy_deg]
     apart = {one.rpy_deg for one in rivals if one.axes == best.axes and one.force_axes == best.force_axes}
     text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
     if apart:
@@ -367,24 +364,13 @@ def _rpy(rpy_deg: Sequence[float]) -> str:
 # --- The start.
 
 
-def _with_latitude(paths: Paths, config: Config, notes: list[Note], *, allow_damaged: bool) -> Config:
+def _with_latitude(config: Config, reference: ReferenceColumns | None, notes: list[Note]) -> Config:
     """Set a latitude where no reference gives one."""
-    if config.initial.latitude_deg is not None:
+    if config.initial.latitude_deg is not None or (reference is not None and reference.has_position):
         return config
-    log = open_recording(paths, allow_damaged=allow_damaged)
-    with log.watched():
-        roles = {finding.role: finding for finding in find_roles(str(log.path), log.channels, config)}
-        reference = roles["reference"]
-        given = {quantity for source in reference.sources for quantity in source.fields}
-        if given & {"latitude", "origin"}:
-            columns = RoleColumns(str(log.path), config)
-            with suppress(UserError):
-                columns.decode("reference", read_tables(log, reference.sources))
-            if columns.reference is not None and columns.reference.has_position:
-                return config
     text = (
-        f"latitude assumed {UNKNOWN_LATITUDE_DEG:g} deg, since the log has none: this costs up to 11 deg of heading in "
-        "an hour (26 deg south of the equator)"
+        f"latitude {UNKNOWN_LATITUDE_DEG:g} deg, since the log has none: this costs up to 11 deg of heading in an hour "
+        "(26 deg south of the equator)"
     )
     notes.append(_note("found_latitude", text, "to set it: initial.latitude_deg", warn=True))
     return _set(config, "initial", latitude_deg=UNKNOWN_LATITUDE_DEG)
@@ -422,7 +408,7 @@ def _with_heading(dives: Sequence[Dive], config: Config, notes: list[Note]) -> t
             bias_degph = (*config.initial.gyro_bias_degph[:2], fitted.gyro_bias_degph)
             started = _set(config, "initial", heading_deg=fitted.heading_deg, gyro_bias_degph=bias_degph).initial
             return _set(config, "initial", heading_deg=FIT), started
-    text = "start heading assumed 0, since nothing in the log gives it: tracks and headings are relative to the start"
+    text = "start heading 0, since nothing in the log gives it: tracks and headings are relative to the start"
     notes.append(_note("found_heading", text, "to set it: initial.heading_deg", warn=True))
     return config, config.initial
 

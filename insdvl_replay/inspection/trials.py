@@ -5,7 +5,7 @@ level, with any heading, and needs no reference. Its cost is the robust mean squ
 a dive share the noise, so their costs can be compared.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Final
@@ -15,12 +15,14 @@ import numpy as np
 
 from insdvl_replay.calibration.fit import possible_axes, robust_cost
 from insdvl_replay.calibration.innovations import NO_CHANGE, ReadDive
-from insdvl_replay.checks.dvl import dvl_by_velocity
+from insdvl_replay.checks.dvl import fit, velocity_pairs
+from insdvl_replay.checks.imu import ENOUGH, gyro_by_attitude
 from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, seconds
 from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.frames import horizontal
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.inspection.proposal import axes_text, level_axes
 from insdvl_replay.logs.columns.imu import FRD, in_frd
@@ -33,11 +35,14 @@ COARSE: Final = Noise(
 )
 CLEARLY: Final = 0.8  # ratio of costs below which another hypothesis is better
 COHERENT: Final = 0.95
+RATE_CLEARLY: Final = 0.02  # correlation with a reference by which rates fit clearly better
+MOST_COMPARED: Final = 16  # hypotheses that are compared with a reference
 STRANGE: Final = 0.6  # the same for single signs and other scales, which are rare
 SETTLED: Final = 0.25  # cost of a trial that leaves nothing to find: innovations of half the coarse noise
 CONSISTENT: Final = 1.0  # cost of a trial whose innovations are as large as the coarse noise expects
 FAST_RADPS: Final = 0.6  # vehicles turn faster rarely, so that faster rates may be in deg/s
 NOT_FAR_OFF: Final = 4.0  # ratio to the least cost of all IMUs above which one is not looked at further
+LEAST_MPS: Final = 0.03  # slower velocities are noise of the DVL
 BEST: Final = 4  # hypotheses of axes that get single signs and scales tried
 # Ratios of measured to true rate that are tried; deg/s are tried by themselves.
 SCALES: Final = (0.3, 0.4, 0.5, 0.6, 0.7, 0.83, 1.2, 1.44, 1.7, 2.0, 2.5, 3.3)
@@ -136,11 +141,16 @@ class Trials:
         return self.found[0].cost
 
     @property
-    def ordered(self) -> list[Hypothesis]:
-        """All by their cost, but what is as read first where nothing is clearly better."""
-        original = [one for one in self.found if replace(one, cost=np.inf) == self.as_read][:1]
-        preferred = original if original and original[0].cost * CLEARLY <= self.cost else []
-        return [*preferred, *(one for one in self.found if one not in preferred)]
+    def close(self) -> list[Hypothesis]:
+        """Return those that are about as good as the best, the nearest to what is as read first."""
+        close = [one for one in self.found if one.cost * CLEARLY <= self.cost]
+        return sorted(close or self.found[:1], key=self._oddity)
+
+    def _oddity(self, one: Hypothesis) -> tuple[bool, ...]:
+        """Return how far a hypothesis is from what is as read, the strangest difference first."""
+        as_read, (roll_deg, _, heading_deg) = self.as_read, one.rpy_deg
+        is_opposite = (one.axes == one.force_axes) != (as_read.axes == as_read.force_axes)
+        return is_opposite, one.axes != as_read.axes, roll_deg != 0.0, heading_deg != 0.0
 
     def _tried(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
         costs = list(parallel_map(lambda hypothesis: with_cost(hypothesis, self.dive, self.config), list(hypotheses)))
@@ -179,16 +189,19 @@ class Trials:
         self._accept(others)
         best = self.found[0]
         self._accept([*signed_rates(best), *signed_forces(best), *scaled(best)])
-        # Refine the scale of the gyros, where another than that as read was better.
+        # Refine the scale of the gyros, where another than that as read was better; then it may show the axes.
+        if self.found[0].rate_scale in (1.0, DEG_PER_S):
+            return
         step = 0.1
         for _ in range(3):
             best = self.found[0]
-            if best.rate_scale in (1.0, DEG_PER_S):
-                return
             factors = np.exp(np.array([-1.5, -0.75, 0.75, 1.5]) * step)
             near = [replace(best, rate_scale=float(best.rate_scale * factor)) for factor in factors]
             self.found = sorted([*self._tried(near), *self.found], key=lambda hypothesis: hypothesis.cost)
             step /= 3.0
+        scale = self.found[0].rate_scale
+        again = self._tried(replace(one, rate_scale=scale) for one in mounted(self.dive, self.as_read))
+        self.found = sorted([*again, *self.found], key=lambda hypothesis: hypothesis.cost)
 
 
 def mounted(dive: Dive, as_read: Hypothesis) -> Iterator[Hypothesis]:
@@ -242,12 +255,33 @@ def turned_about_down(hypothesis: Hypothesis, quarters: int) -> Hypothesis:
     )
 
 
-def quarters_to_reference(dive: Dive, config: Config) -> int:
+def as_reference_moves(close: Sequence[Hypothesis], dive: Dive, config: Config) -> Hypothesis:
+    """Return the first hypothesis whose DVL and gyros follow the reference, turned about down until they do.
+
+    The dive has its readings in the axes of the instruments.
+    """
+    if dive.reference is None:
+        return close[0]
+    turned, follows = [], []
+    for one in close[:MOST_COMPARED]:
+        dvl = msgspec.structs.replace(config.dvl, mounting_rpy_deg=one.rpy_deg)
+        quarters = _quarters_to_reference(dive, msgspec.structs.replace(config, dvl=dvl))
+        turned.append(turned_about_down(one, quarters) if quarters % 4 else one)
+        found = gyro_by_attitude(turned[-1].applied(dive.imu), dive.reference)
+        follows.append(0.0 if found is None else found.correlation)
+    return turned[int(np.argmax(np.array(follows) > max(follows) - RATE_CLEARLY))]
+
+
+def _quarters_to_reference(dive: Dive, config: Config) -> int:
     """Return by how many quarters the body has to turn for the DVL to measure as the reference moves; 0 if unknown."""
     if dive.reference is None:
         return 0
-    fit = dvl_by_velocity(dive.dvl, dive.reference, config)
-    return 0 if fit is None or fit.coherence < COHERENT else -round(fit.turn / (90.0 * DEG))
+    measured, true = map(horizontal, velocity_pairs(dive.dvl, dive.reference, config))
+    if len(true) < ENOUGH:
+        return 0
+    moving = np.abs(true) >= max(float(np.median(np.abs(true))), LEAST_MPS)
+    found = fit(measured[moving], true[moving])
+    return 0 if found.coherence < COHERENT else -round(found.turn / (90.0 * DEG))
 
 
 def rates_compared(imu: ImuColumns, other: ImuColumns) -> tuple[float, float]:
