@@ -88,7 +88,6 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "ratio": ratio,
     "significant": significant,
     "value": partial(significant, digits=3),
-    "signed": lambda value: number(value) if value is None or value <= 0.0 else f"+{number(value)}",
     "signed_percent": signed_percent,
     "cell": lambda value: number(value) if isinstance(value, float) else MISSING if value is None else str(value),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
