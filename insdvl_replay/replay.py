@@ -1,7 +1,7 @@
 """The pipeline: a log is read and checked, prepared, run through every candidate, and its errors judged."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -25,6 +25,7 @@ from insdvl_replay.evaluation.verdicts import evaluated_candidates
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, prepared_timeline, run_candidates, run_one
+from insdvl_replay.preparation.user_runs import with_user_candidates
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class Replay:
     verdicts: dict[str, CandidateVerdict]  # by candidate
     curves: Curves  # evidence that is drawn over time
     notes: tuple[Note, ...]  # what was dropped, assumed or found odd
+    printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
 
 
 LEAST_NIS, MOST_NIS = 0.4, 2.5  # mean NIS/dof of a baseline whose settings fit the dive
@@ -135,7 +137,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     plan = plan_runs(dive, prepared, config)
 
     # Run every candidate. The rest needs no readings.
-    runs = run_candidates(dive, prepared, plan, config)
+    runs = with_user_candidates(run_candidates(dive, prepared, plan, config), dive, prepared, plan, config)
     (baseline, *_), histories = runs.histories, runs.histories
     dive = replace(dive, imu=dive.imu.times_only(), solutions={})
     return_freed_memory()
@@ -145,7 +147,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     span, settings = (prepared.alignment.start_ns, prepared.end_ns), config.reference
     noise = ReferenceNoise(settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg)
     errors, tables = tables_of_filters(
-        dive, histories, runs.drawn, runs.outages, noise, prepared.sensor_sd,
+        dive, histories, runs.drawn, runs.outages, runs.user_outages, noise, prepared.sensor_sd,
         jump_table(dive.name, histories, runs.motions),
         start_ns=span[0], bridged_gaps=len(prepared.gaps.start_ns) > 0,
     )  # fmt: skip
@@ -164,4 +166,6 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     notes += settings_hints(tables, baseline) + constants_notes(histories)
     histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
-    return Replay(dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes)
+    return Replay(
+        dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes, runs.printed
+    )

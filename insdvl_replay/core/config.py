@@ -350,6 +350,17 @@ class Filter(Section, frozen=True):
         str | Solution | None,
         Comment("the onboard solution; all other keys must be left out: a topic, or a TUM file (.tum, .txt)"),
     ] = None
+    program: Annotated[
+        tuple[str, ...] | None,
+        Comment("your filter: a program and its arguments, with {dive}, {start} and {solution}"),
+    ] = None
+    timeout_s: Annotated[Positive | None, Comment("longest time of one run of the program; left out: 600")] = None
+    candidate: Annotated[str | None, Comment("your filter: a Python class, module:Class")] = None
+
+    @property
+    def is_user_code(self) -> bool:
+        """Whether it is a program or a class of the user's."""
+        return self.program is not None or self.candidate is not None
 
 
 def _default_filters() -> dict[str, Filter]:
@@ -426,13 +437,22 @@ class Config(Section, frozen=True):
 
     @property
     def computed(self) -> dict[str, Filter]:
-        """The filters that are run."""
-        return {name: filter_ for name, filter_ in self.filters.items() if filter_.solution is None}
+        """The tool's own filters."""
+        given = self.filters.items()
+        return {name: filter_ for name, filter_ in given if filter_.solution is None and not filter_.is_user_code}
+
+    @property
+    def user_candidates(self) -> dict[str, Filter]:
+        """The programs and classes of the user's, by filter."""
+        return {name: filter_ for name, filter_ in self.filters.items() if filter_.is_user_code}
 
     @property
     def code(self) -> tuple[str, ...]:
-        """The user's code that filters name, as ``module:Class``."""
-        words = (word for filter_ in self.filters.values() for word in filter_.aiding if ":" in word)
+        """The user's code that filters name: ``module:Class``, and the files of programs."""
+        words = list[str]()
+        for filter_ in self.filters.values():
+            words += [word for word in (*filter_.aiding, filter_.candidate or "") if ":" in word]
+            words += [word for i, word in enumerate(filter_.program or ()) if i == 0 or "/" in word]
         return tuple(dict.fromkeys(words))
 
     @property
@@ -443,7 +463,7 @@ class Config(Section, frozen=True):
         return tuple(name for name in SENSORS if name in asked)
 
     def without_code(self) -> "Config":
-        """Return the settings without user-defined measurements; a filter without other aiding is left out."""
+        """Return the settings without the user's code; a filter without other aiding is left out."""
         kept = {
             name: msgspec.structs.replace(filter_, aiding=tuple(word for word in filter_.aiding if ":" not in word))
             for name, filter_ in self.filters.items()

@@ -360,6 +360,8 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
     filters = content.get("filters")
     for entry in filters.values() if isinstance(filters, Mapping) else ():
         solution = entry.get("solution") if isinstance(entry, Mapping) else None
+        if isinstance(entry, dict) and isinstance(program := entry.get("program"), list):
+            entry["program"] = [_whole_path(word, folder) for word in program]
         if isinstance(solution, str) and key_of(solution) == "file":
             entry["solution"] = str((folder / solution).absolute())
         elif isinstance(solution, dict) and isinstance(file := solution.get("file"), str):
@@ -367,9 +369,18 @@ def _with_whole_paths(content: dict[str, Any], folder: Path) -> dict[str, Any]:
     return content
 
 
+def _whole_path(word: Any, folder: Path) -> Any:
+    """Make an argument absolute that begins with ``./`` or ``../``."""
+    return str((folder / word).absolute()) if isinstance(word, str) and word.startswith(("./", "../")) else word
+
+
 def _with_digests(config: Config) -> Config:
-    """Add the SHA-256 of solution files, so that another file means other settings."""
+    """Add the SHA-256 of solution files, so that another file means other settings; make programs' paths absolute."""
     filters = dict(config.filters)
+    for name, filter_ in config.user_candidates.items():
+        if filter_.program is not None:
+            program = tuple(_whole_path(word, Path()) for word in filter_.program)
+            filters[name] = msgspec.structs.replace(filter_, program=program)
     for name, solution in config.solutions.items():
         if solution.file is None:
             continue
@@ -417,13 +428,19 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
         checks = _filter_checks(filter_, held_out, _dotted(*path))
         if filter_.solution is not None:
             checks = _solution_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
+        elif filter_.is_user_code:
+            checks = _user_code_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
         yield from ((path, what, hint) for is_wrong, what, hint in checks if is_wrong)
-    for name, filter_ in config.filters.items():
-        for place, word in enumerate(filter_.aiding):
-            if ":" in word and not allow_code:
-                hint = "add --allow-code to `run`, `check` or `calibrate`; the code runs with your permissions"
-                key = _dotted("filters", name, "aiding", place)
-                yield ("filters", name, "aiding"), f"{key} names code: {word}", hint
+    hint = "add --allow-code to `run`, `check` or `calibrate`; the code runs with your permissions"
+    for name, filter_ in config.filters.items() if not allow_code else ():
+        found: list[tuple[tuple[str | int, ...], str]] = [
+            (("aiding", place), word) for place, word in enumerate(filter_.aiding) if ":" in word
+        ]
+        found += [(("candidate",), filter_.candidate)] if filter_.candidate is not None else []
+        found += [(("program",), " ".join(filter_.program))] if filter_.program is not None else []
+        for path_of_key, word in found:
+            key = _dotted("filters", name, *path_of_key)
+            yield ("filters", name, str(path_of_key[0])), f"{key} names code: {word}", hint
 
 
 def _wrong_words(words: Sequence[str], known: Collection[str], *path: str) -> Iterator[Problem]:
@@ -457,6 +474,32 @@ def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tu
             solution.file is not None and of_topic != "",
             f"{key}.solution is a file, and {key}.solution.{of_topic} is for topics only",
             "leave it out. Each line has time x y z qx qy qz qw; solution.axes names the axes",
+        ),
+    ]
+
+
+def _user_code_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
+    """Check that a program or a class is not the baseline, and has no keys of the tool's own filters."""
+    program, default = filter_.program, Filter()
+    kind, own = ("candidate", ("candidate",)) if program is None else ("program", ("program", "timeout_s"))
+    others = [key for key in Filter.__struct_fields__ if getattr(filter_, key) != getattr(default, key)]
+    names = " and ".join(f"{key}.{name}" for name in others if name not in own)
+    lacking = [place for place in ("{dive}", "{solution}") if not any(place in word for word in program or ())]
+    module, _, name = (filter_.candidate or "").partition(":")
+    example = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
+    return [
+        (
+            is_baseline,
+            f"{key}.{kind} is your code and cannot be the baseline: the tool judges it against one of its own filters",
+            'put a filter with aiding first, such as [filters.baseline] with aiding = ["velocity"]',
+        ),
+        (names != "", f"{key}.{kind} is your code, so {names} has no use", "leave one of them out"),
+        (program == (), f"{key}.program is empty", example),
+        (bool(program and lacking), f"{key}.program has no argument with {' and '.join(lacking)}", example),
+        (
+            program is None and not (module and name),
+            f"{key}.candidate '{filter_.candidate}' is not of the form module:Class",
+            'candidate = "my_package.module:MyFilter"',
         ),
     ]
 
@@ -504,8 +547,13 @@ def render_toml(config: Config) -> str:
 def _toml_lines(section: Struct, path: str) -> Iterator[str]:
     hints = get_type_hints(type(section), include_extras=True)
     tables: list[tuple[str, Struct]] = []
-    is_read = isinstance(section, Filter) and section.solution is not None
-    for name in ("solution",) if is_read else section.__struct_fields__:
+    names = section.__struct_fields__
+    if isinstance(section, Filter):
+        # Of an onboard solution, a program or a class only its own keys.
+        kinds = (("solution",), ("program", "timeout_s"), ("candidate",))
+        others = tuple(name for name in names if name not in ("program", "timeout_s", "candidate"))
+        names = next((keys for keys in kinds if getattr(section, keys[0]) is not None), others)
+    for name in names:
         value = getattr(section, name)
         if isinstance(value, Struct):
             tables.append((f"{path}{name}", value))

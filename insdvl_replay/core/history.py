@@ -83,6 +83,7 @@ class History:
     constants: Floats = field(default_factory=lambda: np.empty((0, 0)))  # (k, c) estimates of the last c states, SI
     is_partial: bool = False  # whether NaN means that it has nothing there, as of a solution, and not that it diverged
     has_own_start: bool = False  # whether it did not start with the others on the reference
+    failure: str = ""  # why a candidate gave no trajectory
     is_turned: bool = False  # whether the heading of a solution was aligned with the baseline's
     # (k, 3) sum of all corrections of the position, in its units; no rows where the filter makes none
     corrected: Floats = field(default_factory=lambda: np.empty((0, 3)))

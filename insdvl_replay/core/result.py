@@ -19,6 +19,7 @@ sentences, figures, tables, notes, provenance; a command with another order sets
 
 import hashlib
 import platform
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -340,7 +341,7 @@ class Report(Struct, frozen=True):
     tables: Tables
     notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
-    code: Annotated[dict[str, CodeFile], Meta(description="user code that was run, by its name in aiding")] = {}
+    code: Annotated[dict[str, CodeFile], Meta(description="user code that was run, by its name in the settings")] = {}
     files: Files = {}
 
 
@@ -369,9 +370,10 @@ def build_report(
 
 
 def _code_file(word: str) -> CodeFile:
-    """Return the file from which this process has imported the code."""
-    file = getattr(sys.modules.get(word.partition(":")[0]), "__file__", None) or ""
-    return CodeFile(file, hashlib.sha256(Path(file).read_bytes()).hexdigest() if Path(file).is_file() else "")
+    """Return the file of a program, or from which this process has imported a class."""
+    file = getattr(sys.modules.get(word.partition(":")[0]), "__file__", None) or shutil.which(word) or word
+    file = file if Path(file).is_file() else ""
+    return CodeFile(file, hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "")
 
 
 def _without_nan(content: T, kind: type[T]) -> T:

@@ -221,7 +221,8 @@ def predicted_states(history: History) -> list[State]:
 
 def last_row(history: History, candidate: History) -> int:
     """Return the row of the last ping; with a partial candidate, the last row that it covers."""
-    return int(np.flatnonzero(history.updated & candidate.updated if candidate.is_partial else history.updated)[-1])
+    shared = history.updated & candidate.updated
+    return int(np.flatnonzero(shared if candidate.is_partial and shared.any() else history.updated)[-1])
 
 
 def mean_over_nine(table: Sequence[ImprovementRow | ConvergenceRow], candidate: str) -> float:

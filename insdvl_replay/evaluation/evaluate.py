@@ -71,6 +71,7 @@ def tables_of_filters(
     histories: tuple[History, ...],  # the first is the baseline
     drawn: tuple[DrawnErrors, ...],  # of the filters, in the same order; empty without a reference
     outages: OutageRuns,
+    user_outages: Mapping[str, OutageRuns],  # by filter of the user's, with the baseline's runs
     noise: ReferenceNoise,
     sensor_sd: Mapping[str, Floats],  # (s,), noise of one reading of each sensor that may be held out
     jumps: list[JumpRow],  # from `drift.jump_table`
@@ -104,12 +105,15 @@ def tables_of_filters(
     held_out = held_out_errors(baseline, sensor_sd)
     measured = Measured(
         accuracy=accuracy,
-        outage=window_drifts(outages),
+        outage=_outage_pairs(names, outages, user_outages),
         convergence=convergence,
         held_out={history.filter: (held_out, held_out_errors(history, sensor_sd)) for history in candidates},
         track={history.filter: _track(baseline, history, reference_error) for history in candidates},
         partial=[history.filter for history in candidates if history.is_partial],
     )
+    user_outage_rows = [
+        row for name, runs in user_outages.items() for row in outage_test_table(log, runs) if row.filter == name
+    ]
     return errors, Tables(
         improvement=improvement_table(log, histories),
         convergence=convergence_table(log, histories, convergence),
@@ -117,11 +121,24 @@ def tables_of_filters(
         consistency=consistency,
         credibility=credibility,
         evidence=evidence_table(log, names[0], names[1:], measured, consistency, credibility),
-        outage=outage_test_table(log, outages),
+        outage=outage_test_table(log, outages) + user_outage_rows,
         drift=drift,
         track_fit=fits,
         jumps=jumps,
     )
+
+
+def _outage_pairs(
+    names: Sequence[str], outages: OutageRuns, user_outages: Mapping[str, OutageRuns]
+) -> dict[str, tuple[Mapping[str, Floats], Mapping[str, Floats]]]:
+    """Return the drifts of the baseline and of each candidate in the same windows, by candidate."""
+    baseline, *candidates = names
+    pairs: dict[str, tuple[Mapping[str, Floats], Mapping[str, Floats]]] = {}
+    for name in candidates:
+        drifts = window_drifts(user_outages.get(name, outages))
+        if name in drifts:
+            pairs[name] = drifts[baseline], drifts[name]
+    return pairs
 
 
 def _track(baseline: History, candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:

@@ -227,7 +227,8 @@ class Measured:
     """All measured errors of the filters of a dive."""
 
     accuracy: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against the reference
-    outage: Mapping[str, Mapping[str, Floats]] = field(default_factory=dict)  # by filter and window: drifts, m
+    # by candidate, of the baseline and its own: drifts by window, m
+    outage: Mapping[str, tuple[Mapping[str, Floats], Mapping[str, Floats]]] = field(default_factory=dict)
     convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(default_factory=dict)  # by candidate, quantity
     held_out: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against held-out sensors
     track: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)  # by candidate, quantity
@@ -247,8 +248,8 @@ def evidence_table(
     for candidate in candidates:
         new = partial(_row, log, candidate)
         rows += _rows_of_squares(partial(new, "accuracy"), measured.accuracy.get(candidate, ({}, {})))
-        drifts = measured.outage.get(candidate, {})
-        for window, before in measured.outage.get(baseline, {}).items():
+        baseline_drifts, drifts = measured.outage.get(candidate, ({}, {}))
+        for window, before in baseline_drifts.items():
             if window in drifts and len(before):
                 interval, values = windows_ratio(before, drifts[window]), (_rms(before**2), _rms(drifts[window] ** 2))
                 why = _why(interval)

@@ -139,6 +139,12 @@ def outage_run(history: History) -> OutageRun:
         return OutageRun(time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis)
 
 
+def drift_run(time_ns: TimeNs, velocity_error_n: Floats) -> OutageRun:
+    """Integrate errors of the velocity from the last used ping on, whose row is the first and counts as zero."""
+    time_s, error_n = seconds(time_ns, time_ns[0]), np.concatenate([np.zeros((1, 3)), velocity_error_n[1:]])
+    return OutageRun(time_s, error_n, _integral(time_s, error_n), np.full(len(time_s), np.nan))
+
+
 def distance_along_m(time_ns: TimeNs, velocity_b: Floats) -> Floats:
     """Integrate the speed that a DVL measures, m/s, from the first ping on."""
     return _integral(seconds(time_ns, time_ns[0]), np.linalg.norm(velocity_b, axis=1))

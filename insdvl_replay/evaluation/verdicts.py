@@ -116,6 +116,8 @@ def not_evaluated(
     invalid, suspect = dict[str, str](), dict[str, str]()
     for history in histories:
         name = history.filter
+        if history.failure:
+            invalid[name] = history.failure
         if f"solution_{name}" in shared:
             invalid[name] = f"{name} is the reference, or may have used it"
         for sensor in (met.measurement for met in history.innovations if met.measurement in shared - {"depth"}):

@@ -133,6 +133,12 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
         "{given:.3g}, the derivative is {found:.3g}",
         "H is the derivative of z by the error states; columns and signs: docs/own_filter.md",
     ),
+    # Filters of the user's.
+    "candidate_ignores_start": (
+        WARNING,
+        "{key}: its runs from {count} starts gave the same solution, so it ignores its start",
+        "begin from the state in {{start}}; otherwise errors of the start are no evidence on it",
+    ),
     # Recorded solutions.
     "solution_turned": (
         INFO, "{key}: turned by {turn:+.2f} deg, to the heading of {baseline} at its first attitude", ""

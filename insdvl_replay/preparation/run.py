@@ -2,13 +2,14 @@
 
 A candidate is anything that turns a dive and a start into a trajectory, a `History`. Parts that a history lacks are not
 evaluated: a covariance, innovations, runs from other starts, windows without the DVL. The compiled filter leaves the
-interpreter to other threads while it runs; on long dives each filter has its own thread.
+interpreter to other threads while it runs; on long dives each filter has its own thread. Filters of the user's are run
+by `user_runs`.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
@@ -60,7 +61,7 @@ class RunDive:
     cov_ns: TimeNs  # (c,) times at which a history is to hold all of P
 
 
-class Candidate(Protocol):
+class RunnableCandidate(Protocol):
     """Turns a dive and a start into a trajectory."""
 
     @property
@@ -127,6 +128,8 @@ class Runs:
     outages: OutageRuns  # in windows without the DVL, of those that can be run there
     motions: dict[str, ReferenceColumns]  # of recorded solutions, by name: positions and velocities of each sample
     notes: tuple[Note, ...]
+    user_outages: Mapping[str, OutageRuns] = field(default_factory=dict)  # of filters of the user's, with the baseline
+    printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
 
 
 def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None) -> RunPlan:
@@ -134,7 +137,7 @@ def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | N
     span = prepared.alignment.start_ns, prepared.end_ns
     starts = config.evaluation.starts if starts is None else starts
     return RunPlan(
-        evaluated_times(dive.reference, *span, filters=len(config.filters)),
+        evaluated_times(dive.reference, *span, filters=len(config.filters) - len(config.user_candidates)),
         plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, *span),
         starts if dive.reference is not None else 0,
         config.evaluation.seed,
@@ -204,12 +207,12 @@ def _filter_settings(filter_: ResolvedFilter, prepared: Prepared) -> dict[str, A
     }
 
 
-def prepared_timeline(dive: Dive, prepared: Prepared) -> Timeline:
-    """Merge the readings, the pings and the reference's times of a prepared dive into one time line."""
+def prepared_timeline(dive: Dive, prepared: Prepared, more_ns: TimeNs = NEVER) -> Timeline:
+    """Merge the readings, the pings, the reference's times and some more of a prepared dive into one time line."""
     return build_timeline(
         dive.imu,
         prepared.velocities.time_ns,
-        dive.reference.time_ns if dive.reference else np.empty(0, dtype=np.int64),
+        np.concatenate([dive.reference.time_ns, more_ns]) if dive.reference else more_ns,
         prepared.alignment.start_ns,
         prepared.end_ns,
         prepared.gaps,
@@ -258,9 +261,25 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
     errors end where the runs together have `MOST_DRAWN_SAMPLES`, and are of evenly chosen times of a reference that has
     more than `MOST_DRAWN_TIMES`.
     """
+    report_stage("running the filters from random starts")
+    starts, part = drawn_part(dive, prepared, count, seed)
+    reference = part.dive.reference
+    assert reference is not None
+
+    def run(work: tuple[RunnableCandidate, Start]) -> DrawnErrors:
+        candidate, start = work
+        return run_from_start(candidate.run(part, start), reference, dive.truth)
+
+    runs = list(
+        parallel_map(run, [(BuiltInFilter(filter_), start) for filter_ in prepared.filters for start in starts])
+    )
+    return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
+
+
+def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[tuple[Start, ...], RunDive]:
+    """Draw starts; return them with the part of the dive, and the times of its reference, over which they are run."""
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")
-    report_stage("running the filters from random starts")
     # Dives differ by these numbers, and they depend neither on a date nor on a processor.
     start_ns, time_ns = prepared.alignment.start_ns, dive.imu.time_ns
     sizes = len(time_ns), len(prepared.velocities.time_ns), prepared.end_ns - start_ns
@@ -272,16 +291,7 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
     chosen = inside[:: max(1, math.ceil(len(inside) / MOST_DRAWN_TIMES))]
     reference = dive.reference.rows(np.isin(np.arange(len(dive.reference.time_ns)), chosen))
     dive, prepared = replace(dive, reference=reference), replace(prepared, end_ns=end_ns)
-    part = RunDive(dive, prepared, prepared_timeline(dive, prepared), np.empty(0, np.int64))
-
-    def run(work: tuple[Candidate, Start]) -> DrawnErrors:
-        candidate, start = work
-        return run_from_start(candidate.run(part, start), reference, dive.truth)
-
-    runs = list(
-        parallel_map(run, [(BuiltInFilter(filter_), start) for filter_ in prepared.filters for start in starts])
-    )
-    return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
+    return starts, RunDive(dive, prepared, prepared_timeline(dive, prepared), np.empty(0, np.int64))
 
 
 # --- The heading at the start, where only the positions of a reference tell it (``initial.heading_deg = "fit"``).

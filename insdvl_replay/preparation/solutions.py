@@ -43,13 +43,14 @@ def recorded_history(
     imu: ImuColumns,
     baseline: History,
     evaluated_ns: TimeNs,  # (c,) times at which errors are judged by P
+    key: str = "",  # of the settings, in notes; that of a solution if it is left out
 ) -> tuple[History, ReferenceColumns, tuple[Note, ...]]:
     """Move a solution to the IMU, align it with the baseline where it begins, and interpolate it at its times.
 
     With it come positions and velocities of each sample, as they were aligned, and notes: how it was aligned, what of
     the replay it covers, and what it does not give.
     """
-    key, notes, origin = f"filters.{name}.solution", list[Note](), baseline.position[0]
+    key, notes, origin = key or f"filters.{name}.solution", list[Note](), baseline.position[0]
     if any(settings.lever_arm_m) and not solution.motion.has_attitude:
         raise ConfigError(
             f"{key} has no attitude, so {key}.lever_arm_m cannot be applied",
@@ -105,9 +106,9 @@ def _history(
 ) -> History:
     """Interpolate a solution at the times of the baseline; rows count as updated where it gives any at a ping."""
     motion, time_ns = solution.motion, baseline.time_ns
-    position = _interpolated(motion.time_ns, motion.position, time_ns)
-    velocity_n = _interpolated(motion.time_ns, motion.velocity_n, time_ns)
-    mat_nb = _interpolated_attitude(motion.time_ns, motion.mat_nb, time_ns)
+    position = interpolated(motion.time_ns, motion.position, time_ns)
+    velocity_n = interpolated(motion.time_ns, motion.velocity_n, time_ns)
+    mat_nb = interpolated_attitude(motion.time_ns, motion.mat_nb, time_ns)
     given = np.isfinite(np.column_stack([position[:, 0], velocity_n[:, 0], mat_nb[:, 0, 0]])).any(axis=1)
 
     def reported(cov: Floats, at_ns: TimeNs) -> Floats:
@@ -191,7 +192,7 @@ def _between(time_ns: TimeNs, known: NDArray[np.bool_], at_ns: TimeNs) -> tuple[
     return rows[before + np.array([[0], [1]])], np.where(given, share, np.nan)
 
 
-def _interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
+def interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
     """Interpolate rows, shape (r, 3), linearly, each column by itself: a height may be missing."""
     found = np.full((len(at_ns), 3), np.nan)
     for column, into in zip(values.T, found.T, strict=True):
@@ -202,7 +203,7 @@ def _interpolated(time_ns: TimeNs, values: Floats, at_ns: TimeNs) -> Floats:
     return found
 
 
-def _interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Floats:
+def interpolated_attitude(time_ns: TimeNs, mat_nb: Floats, at_ns: TimeNs) -> Floats:
     """Turn from one attitude to the next at a steady rate."""
     rows, share = _between(time_ns, np.asarray(np.isfinite(mat_nb).all(axis=(1, 2))), at_ns)
     found, given = np.full((len(at_ns), 3, 3), np.nan), np.flatnonzero(np.isfinite(share))

@@ -63,6 +63,8 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
         )
         for name, layout_text in viewer_layouts([history.filter for history in replay.histories]).items():
             (folder / name).write_text(layout_text, "utf-8")
+    for name, text in replay.printed.items():
+        (folder / f"candidate_{name}.txt").write_text(text, "utf-8")
     write_trajectory(folder / TRAJECTORY_FILE, trajectory_of(replay))
     (folder / "config.toml").write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")

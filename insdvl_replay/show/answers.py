@@ -166,7 +166,7 @@ def _predicted(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, 
     """State the predicted improvement of a candidate on one dive, and whether it is confirmed."""
     predicted_pct = candidate.mean_improvement_pct
     if predicted_pct is None and candidate.consistency == Consistency.NOT_AVAILABLE:
-        return "predicted: unknown. An onboard solution reports the sigma of only some states, or of none."
+        return "predicted: unknown. The candidate reports the sigma of only some states, or of none."
 
     def gained(change: float | None, gain: str, loss: str) -> str:
         return f"{percent(-change)} {loss}" if change is not None and change < 0.0 else f"{percent(change)} {gain}"

@@ -41,7 +41,7 @@ def evidence(
     windows = [{name: np.array(pair[i]) for name, pair in (outage or {}).items()} for i in range(2)]
     measured = Measured(
         {"aided": (before, after)},
-        dict(zip(("baseline", "aided"), windows, strict=True)),
+        {"aided": (windows[0], windows[1])},
         {"aided": convergence or {}},
     )
     return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}

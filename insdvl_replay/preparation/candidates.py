@@ -1,0 +1,337 @@
+"""Filters of the user's: a dive and a start become a trajectory, which is checked and interpolated as any other.
+
+A mistake in the user's code is a `CandidateError`. Its candidate is then not evaluated, and all others go on.
+"""
+
+import importlib
+import json
+import traceback
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+import numpy as np
+
+from insdvl_replay.core.config import Solution as SolutionSettings
+from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
+    Dive,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    SolutionColumns,
+    TimeNs,
+    nothing,
+    seconds,
+)
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.states import DEG
+from insdvl_replay.evaluation.reference_errors import WELL_COVERED
+from insdvl_replay.geometry.frames import moved_position, north_east_m
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, vector_from_mat
+from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.preparation.solutions import recorded_history
+
+MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
+COMPARED_S: Final = 10.0  # over which turns are compared with those of the baseline
+# A solution that differs more from the baseline is of another dive: no filter turns otherwise than its gyros.
+FARTHEST_START_M, LARGEST_TURN_DEG, LARGEST_SPEED = 100.0, 5.0, 0.5
+_SHAPES: Final = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3), "innovation_b": (3,)}
+_WORDS: Final = {"position": "positions", "velocity_n": "velocities", "mat_nb": "attitudes"}
+
+
+class CandidateError(Exception):
+    """Why a candidate is not evaluated."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The trajectory of a candidate. What it does not estimate is left out."""
+
+    time_ns: TimeNs  # (k,), increasing, on the clock of the dive
+    position: Floats | None = None  # (k, 3), latitude rad, longitude rad, height m
+    velocity_n: Floats | None = None  # (k, 3), m/s
+    mat_nb: Floats | None = None  # (k, 3, 3)
+    # (c, 9, 9), covariance of the errors of velocity, attitude (misalignment in n) and position (m, in n), SI; NaN for
+    # those that are not known
+    cov: Floats | None = None
+    cov_ns: TimeNs | None = None  # (c,), its times, if they are not those of the rows
+    innovation_b: Floats | None = None  # (k, 3), predicted minus measured velocity of the DVL; NaN where there is none
+    innovation_cov: Floats | None = None  # (k, 3, 3), their covariance S
+
+
+@dataclass(frozen=True)
+class CandidateStart(Start):
+    """The start that a candidate is given: a `Start` with its time, and what the dive does not hold."""
+
+    time_ns: int = 0
+    dvl_lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # IMU to DVL, m
+    position_sd_m: Floats = field(default_factory=lambda: np.ones(3))  # north, east, down
+
+    def to_json(self) -> str:
+        """Write what a program is given, with standard deviations as ``NAME_sd``."""
+        _, _, heading = rpy_from_mat(self.mat_nb)
+        level_nb, sd = mat_from_rpy(np.array([0.0, 0.0, heading])), self.sd
+        level_cov = level_nb.T @ self.cov[3:6, 3:6] @ level_nb
+        position_sd = np.abs(moved_position(self.position, self.position_sd_m) - self.position)
+        values: dict[str, tuple[Any, Any]] = {
+            "latitude_deg": (self.position[0] / DEG, position_sd[0] / DEG),
+            "longitude_deg": (self.position[1] / DEG, position_sd[1] / DEG),
+            "height_m": (self.position[2], position_sd[2]),
+            "velocity_ned_mps": (self.velocity_n, sd[0:3]),
+            "roll_pitch_heading_deg": (rpy_from_mat(self.mat_nb) / DEG, np.sqrt(np.diagonal(level_cov)) / DEG),
+            "accelerometer_bias_mps2": (self.accel_bias_b, sd[6:9]),
+            "gyro_bias_radps": (self.gyro_bias_b, sd[9:12]),
+        }
+        content: dict[str, Any] = {"time_ns": self.time_ns}
+        for name, (value, sigma) in values.items():
+            content[name], content[f"{name}_sd"] = np.asarray(value).tolist(), np.asarray(sigma).tolist()
+        content["dvl_lever_arm_m"] = self.dvl_lever_arm_b.tolist()
+        return json.dumps(content, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> "CandidateStart":
+        """Read what `to_json` writes."""
+        content = json.loads(text)
+        rpy_sd = np.array(content["roll_pitch_heading_deg_sd"]) * DEG
+        rpy = np.array(content["roll_pitch_heading_deg"]) * DEG
+        sd = [content[f"{name}_sd"] for name in ("velocity_ned_mps", "accelerometer_bias_mps2", "gyro_bias_radps")]
+        cov = np.diag(np.concatenate([sd[0], np.zeros(3), sd[1], sd[2]]) ** 2)
+        cov[3:6, 3:6] = misalignment_cov(rpy_sd[None], rpy[2:])[0]
+        return cls(
+            np.array([content["latitude_deg"] * DEG, content["longitude_deg"] * DEG, content["height_m"]]),
+            np.array(content["velocity_ned_mps"]),
+            mat_from_rpy(rpy),
+            cov,
+            np.array(content["accelerometer_bias_mps2"]),
+            np.array(content["gyro_bias_radps"]),
+            time_ns=content["time_ns"],
+            dvl_lever_arm_b=np.array(content["dvl_lever_arm_m"]),
+        )
+
+
+class Candidate:
+    """A filter of yours; made without arguments, anew for each run.
+
+    `run_as_program` of `api` makes a program of it.
+    """
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Return the trajectory from the start to the end of the dive.
+
+        Parameters
+        ----------
+        dive : Dive
+            What the built-in filters get: ``imu``, ``dvl.velocity_d`` in the axes of the IMU, and ``sensors``; all in
+            SI, at their times of validity.
+        start : CandidateStart
+            State, covariance and time at the start.
+        """
+        raise NotImplementedError
+
+
+def load_candidate(word: str) -> type[Candidate]:
+    """Import a class by ``module:Class``."""
+    module, _, name = word.partition(":")
+    try:
+        found = getattr(importlib.import_module(module), name)
+    except (Exception, SystemExit) as error:
+        kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
+        raise CandidateError(f"{word} cannot be imported: {kind}{error}") from error
+    if not (isinstance(found, type) and callable(getattr(found, "run", None))):
+        raise CandidateError(f"{word} is not a class with a method run(self, dive, start)")
+    return found
+
+
+def run_class(word: str, dive: Dive, start: CandidateStart) -> Solution:
+    """Run a class over a dive, from a start."""
+    try:
+        solution = load_candidate(word)().run(dive, start)
+    except CandidateError:
+        raise
+    except (Exception, SystemExit) as error:
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"line {last.lineno} of {Path(last.filename).name}"
+        raise CandidateError(f"{word} fails in {where}: {type(error).__name__}: {error}") from error
+    if not isinstance(solution, Solution):
+        raise CandidateError(f"run of {word} returns {type(solution).__name__}, not Solution")
+    return solution
+
+
+# --- From a solution to a history.
+
+
+def history_of_candidate(
+    name: str,
+    solution: Solution,
+    start: Start,
+    start_ns: int,
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    baseline: History,  # of the same dive
+    evaluated_ns: TimeNs,  # (c,), times at which errors are judged by P
+) -> tuple[History, tuple[Note, ...]]:
+    """Check a solution and interpolate it at the times of the baseline.
+
+    It holds the start where its own first row is later. A `CandidateError` says what is wrong with it.
+    """
+    key = f"filters.{name}"
+    columns = _columns(_checked(solution), start, start_ns, int(baseline.time_ns[-1]))
+    history, _, notes = recorded_history(name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key)
+    _require_whole(history)
+    _require_this_dive(history, baseline)
+    met = _innovations(solution, velocities)
+    return replace(history, has_own_start=False, innovations=() if met is None else (met,)), notes
+
+
+def failed_history(name: str, reason: str, baseline: History, imu: ImuColumns) -> History:
+    """Return the history of a candidate that gave no trajectory."""
+    empty = ReferenceColumns(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3, 3)))
+    columns = SolutionColumns(empty, None, empty.time_ns, np.empty((0, 9, 9)))
+    history, *_ = recorded_history(name, columns, SolutionSettings(), imu, baseline, empty.time_ns)
+    return replace(history, failure=f"{name} {reason}")
+
+
+def _checked(solution: Solution) -> Solution:
+    """Require increasing times, and finite numbers of the right shapes."""
+
+    def wrong(text: str) -> NoReturn:
+        raise CandidateError(f"gives a solution with {text}")
+
+    time_ns = np.asarray(solution.time_ns)
+    if time_ns.ndim != 1 or not len(time_ns):
+        wrong("no row")
+    if time_ns.dtype.kind not in "iu" or np.any(np.diff(time_ns) <= 0):
+        wrong("times that are not increasing whole nanoseconds")
+    columns = dict[str, Any]()
+    shapes = {**_SHAPES, "cov": (9, 9), "innovation_cov": (3, 3)}
+    for name, shape in shapes.items():
+        if (given := getattr(solution, name)) is None:
+            continue
+        values = columns[name] = np.asarray(given, np.float64)
+        count = len(solution.cov_ns) if name == "cov" and solution.cov_ns is not None else len(time_ns)
+        if values.shape != (count, *shape):
+            wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")
+        bad = np.flatnonzero(~np.isfinite(values.reshape(count, -1)).all(axis=1))
+        if name == "position":  # without a height it is a position all the same
+            bad = np.flatnonzero(~np.isfinite(values[:, :2]).all(axis=1))
+        if name in _WORDS and len(bad):
+            wrong(f"{_WORDS[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
+    if not set(columns) & set(_WORDS):
+        wrong("no position, no velocity and no attitude")
+    return replace(solution, time_ns=time_ns.astype(np.int64), **columns)
+
+
+def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> SolutionColumns:
+    """Return a solution that begins at the start, and holds covariances at evenly chosen times."""
+    time_ns = solution.time_ns
+    inside = (time_ns >= start_ns) & (time_ns <= end_ns)
+    if not inside.any():
+        first_s, last_s = ((int(at) - start_ns) / NS_PER_S for at in (time_ns[0], time_ns[-1]))
+        raise CandidateError(
+            f"gives a solution of wrong times: {first_s:.6g} to {last_s:.6g} s after the start, and the dive has 0 to "
+            f"{(end_ns - start_ns) / NS_PER_S:.6g} s"
+        )
+    is_later = int(time_ns[0]) > start_ns
+    given = {"position": start.position, "velocity_n": start.velocity_n, "mat_nb": start.mat_nb}
+    columns = dict[str, Floats]()
+    for name, value in given.items():
+        own = getattr(solution, name)
+        if own is None:
+            columns[name] = nothing((len(time_ns) + is_later, *value.shape))
+        else:
+            columns[name] = np.concatenate([value[None], own]) if is_later else own
+    motion_ns = np.concatenate([[start_ns], time_ns]) if is_later else time_ns
+    cov, cov_ns = np.empty((0, 9, 9)), time_ns[:0]
+    if solution.cov is not None:
+        cov_ns = time_ns if solution.cov_ns is None else solution.cov_ns
+        every = 1 + len(cov_ns) // MOST_COVARIANCES
+        cov, cov_ns = solution.cov[::every], cov_ns[::every]
+    return SolutionColumns(ReferenceColumns(motion_ns, **columns), None, cov_ns, cov)
+
+
+def _known(history: History) -> dict[str, Any]:
+    columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
+    columns["mat_nb"] = history.mat_nb[:, 0, 0]
+    known = {name: np.isfinite(column) for name, column in columns.items()}
+    return {name: rows for name, rows in known.items() if rows.any()}
+
+
+def _require_whole(history: History) -> None:
+    """Require that each quantity of a solution covers the replay."""
+    known = _known(history)
+    if not known:
+        raise CandidateError("gives a solution without a row in the time of the replay")
+    for name, rows in known.items():
+        if (share := float(rows.mean())) < WELL_COVERED:
+            last_s, end_s = (seconds(history.time_ns[at], history.time_ns[0]) for at in (np.flatnonzero(rows)[-1], -1))
+            raise CandidateError(
+                f"gives {_WORDS[name]} for only {100.0 * share:.0f} % of the replay, the last at {last_s:.1f} of "
+                f"{end_s:.1f} s"
+            )
+
+
+def _require_this_dive(history: History, baseline: History) -> None:
+    """Require that a solution begins at the start, and turns and moves as the baseline does."""
+    known, reason = _known(history), ""
+    if "position" in known:
+        row = int(np.argmax(known["position"]))
+        apart_m = float(np.hypot(*north_east_m(history.position[row], baseline.position[row], baseline.position[row])))
+        if apart_m > FARTHEST_START_M:
+            reason = f"it begins {apart_m:.3g} m from the start"
+    if "velocity_n" in known:
+        rows = known["velocity_n"] & np.isfinite(baseline.velocity_n).all(axis=1)
+        own, other = (np.linalg.norm(run.velocity_n[rows], axis=1) for run in (history, baseline))
+        off_mps, usual_mps = (float(np.sqrt(np.mean(speed**2))) for speed in (own - other, other))
+        if off_mps > LARGEST_SPEED * (usual_mps + 1.0):
+            reason = f"its speed differs from the baseline's by {off_mps:.2g} m/s (rms)"
+    if "mat_nb" in known:
+        rows = np.flatnonzero(known["mat_nb"] & np.isfinite(baseline.mat_nb).all(axis=(1, 2)))
+        since_s = seconds(history.time_ns[rows], history.time_ns[0])
+        rows = rows[np.unique(np.searchsorted(since_s, np.arange(0.0, since_s[-1], COMPARED_S)))]
+        own, other = (np.swapaxes(run.mat_nb[rows[:-1]], 1, 2) @ run.mat_nb[rows[1:]] for run in (history, baseline))
+        off_deg = np.linalg.norm(vector_from_mat(np.swapaxes(other, 1, 2) @ own), axis=1) / DEG
+        if len(off_deg) and (rms_deg := float(np.sqrt(np.mean(off_deg**2)))) > LARGEST_TURN_DEG:
+            reason = f"its turns in {COMPARED_S:g} s differ from the gyros' by {rms_deg:.2g} deg (rms)"
+    if reason:
+        raise CandidateError(f"gives a solution that is not of this dive: {reason}")
+
+
+def _innovations(solution: Solution, velocities: DvlVelocities) -> Innovations | None:
+    """Return the innovations of the DVL's velocity, in the axes of the IMU."""
+    if solution.innovation_b is None or solution.innovation_cov is None:
+        return None
+    known = np.isfinite(solution.innovation_b).all(axis=1) & np.isfinite(solution.innovation_cov).all(axis=(1, 2))
+    time_ns, own, pings = np.intersect1d(solution.time_ns[known], velocities.time_ns, return_indices=True)
+    innovation, cov = solution.innovation_b[known][own], solution.innovation_cov[known][own]
+    sign, log_det = np.linalg.slogdet(cov)
+    variance = np.diagonal(cov, axis1=1, axis2=2)
+    if not len(time_ns) or np.any(sign <= 0.0) or np.any(variance <= 0.0):
+        lacks = "at no time of a ping" if not len(time_ns) else "with a covariance that is not positive definite"
+        raise CandidateError(f"gives innovations {lacks}")
+    solved = np.linalg.solve(cov, innovation[..., None])[..., 0]
+    count = len(time_ns)
+    return Innovations(
+        measurement="velocity",
+        unit="m/s",
+        axes=("x", "y", "z"),
+        time_ns=time_ns,
+        valid_ns=time_ns,
+        measured=velocities.velocity_b[pings],
+        innovation=innovation,
+        sd=np.sqrt(variance),
+        nis=np.sum(innovation * solved, axis=1),
+        used=np.ones(count, np.bool_),
+        log_det=log_det,
+        gate=np.inf,
+        reopen_after=0,
+        reopened=np.zeros(count, np.bool_),
+    )
+
+
+def misalignment_cov(rpy_sd: Floats, heading: Floats) -> Floats:
+    """Turn standard deviations of roll, pitch and heading, shape (k, 3), to a covariance in n, shape (k, 3, 3)."""
+    level_nb = mat_from_rpy(np.column_stack([np.zeros((len(heading), 2)), heading]))
+    return np.asarray((level_nb * rpy_sd[:, None, :] ** 2) @ np.swapaxes(level_nb, 1, 2))

@@ -1,0 +1,293 @@
+"""The user's own filters, run: from the starts of all candidates, and on dives without the pings of some windows.
+
+They are given what the built-in filters get, and nothing that judges them. In the DVL outage test a built-in filter
+goes on from its state at the begin of each window. A filter of the user's cannot, so it runs over whole dives that lack
+the pings of every third window. The baseline runs over the same dives, so that both drift in the same windows.
+"""
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, fields, replace
+from io import StringIO
+from os import cpu_count
+from pathlib import Path
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+from msgspec.structs import replace as changed
+
+from insdvl_replay.core.config import Config, Filter
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.history import History
+from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.evaluation.evaluate import with_solutions
+from insdvl_replay.evaluation.outage_test import (
+    OutagePlan,
+    OutageRun,
+    OutageRuns,
+    Windows,
+    distance_along_m,
+    drift_run,
+)
+from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
+from insdvl_replay.geometry.earth import earth_rate_n
+from insdvl_replay.logs import write_dive
+from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.levelling import Start
+from insdvl_replay.preparation.candidates import (
+    CandidateError,
+    CandidateStart,
+    Solution,
+    failed_history,
+    history_of_candidate,
+    run_class,
+)
+from insdvl_replay.preparation.notes import note
+from insdvl_replay.preparation.plugins import given_dive
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive
+from insdvl_replay.preparation.programs import TIMEOUT_S, Program
+from insdvl_replay.preparation.run import BuiltInFilter, RunDive, RunPlan, Runs, drawn_part, prepared_timeline
+from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
+
+OUTAGE_DIVES: Final = 3  # each lacks every third window: the time between two of them is twice as long as a window
+LONGEST_WINDOW_S, FEWEST_WINDOWS = 60, 6  # the longest windows of which there are so many, else the shortest
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class GivenDive:
+    """A dive over which the user's filters are run, and the baseline's run over it."""
+
+    name: str
+    dive: Dive  # as filters of the user's are given it
+    prepared: Prepared
+    baseline: History
+    windows: Sequence[int] = ()  # rows of the plan's windows whose pings are absent
+
+
+class UserRun(NamedTuple):
+    """What one filter of the user's gave."""
+
+    history: History
+    drawn: DrawnErrors | None  # from random starts
+    outages: OutageRuns | None  # with those of the baseline
+    notes: tuple[Note, ...]
+
+
+def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
+    """Add the runs of the user's filters to those of all others, which they do not change.
+
+    A filter that fails in any run has no trajectory, and its history says why.
+    """
+    if not config.user_candidates:
+        return runs
+    whole = GivenDive("dive", _given(given_dive(dive, config), prepared), prepared, runs.histories[0])
+    windows, part = _windows(plan.windows), dive
+    starts: tuple[Start, ...] = (prepared.alignment.start,)
+    outage_dives = _outage_dives(dive, prepared, config, windows)
+    if plan.starts:
+        starts, run_dive = drawn_part(dive, prepared, plan.starts, plan.seed)
+        part = run_dive.dive
+    histories, drawn, notes = list(runs.histories), list(runs.drawn), list(runs.notes)
+    outages, printed = dict[str, OutageRuns](), dict[str, str]()
+    with tempfile.TemporaryDirectory(prefix="insdvl-replay-") as folder:
+        for test in (whole, *outage_dives):
+            if any(settings.program for settings in config.user_candidates.values()):
+                write_dive(Path(folder, f"{test.name}.mcap"), test.dive)
+        for name, settings in config.user_candidates.items():
+            report_stage(f"running {name}")
+            candidate = _Candidate(name, settings, Path(folder), plan)
+            try:
+                found = candidate.runs(whole, starts, part, outage_dives, windows)
+            except CandidateError as error:
+                found = UserRun(failed_history(name, str(error), whole.baseline, whole.dive.imu), None, None, ())
+            histories.append(found.history)
+            drawn += [] if found.drawn is None else [found.drawn]
+            drawn = list(with_solutions(drawn, [found.history], dive)) if plan.starts else drawn
+            outages |= {} if found.outages is None else {name: found.outages}
+            notes += found.notes
+            printed |= {name: text} if (text := candidate.printed) else {}
+    return replace(
+        runs, histories=tuple(histories), drawn=tuple(drawn), notes=tuple(notes), user_outages=outages, printed=printed
+    )
+
+
+class _Candidate:
+    """One filter of the user's: a program or a class."""
+
+    def __init__(self, name: str, settings: Filter, folder: Path, plan: RunPlan) -> None:
+        self.name, self.word, self.plan, self.folder = name, settings.candidate or "", plan, folder
+        self.program, self._printed = None, StringIO()
+        if settings.program is not None:
+            (own := folder / name).mkdir()
+            self.program = Program(settings.program, settings.timeout_s or TIMEOUT_S, own)
+
+    @property
+    def printed(self) -> str:
+        """Everything that its runs have printed."""
+        texts = self.program.printed if self.program is not None else {"": self._printed.getvalue()}
+        return "".join(texts[run] for run in sorted(texts))
+
+    def solution(self, test: GivenDive, run: str, start: Start) -> Solution:
+        """Run it over a dive."""
+        alignment, known = (
+            test.prepared.alignment,
+            {column.name: getattr(start, column.name) for column in fields(Start)},
+        )
+        sd_m = () if alignment.initial is None else alignment.initial.position_sd_m
+        given = CandidateStart(
+            **known,
+            time_ns=alignment.start_ns,
+            dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
+            position_sd_m=np.array(sd_m or (1.0, 1.0, 1.0)),
+        )
+        if self.program is not None:
+            return self.program.run(run, self.folder / f"{test.name}.mcap", given)
+        with redirect_stdout(self._printed), redirect_stderr(self._printed):
+            return run_class(self.word, test.dive, given)
+
+    def history(self, test: GivenDive, run: str, start: Start) -> tuple[History, tuple[Note, ...], str]:
+        """Run it over a dive; return its history, notes, and a digest of its solution."""
+        solution, begun = self.solution(test, run, start), replace(test.prepared.alignment, start=start)
+        digest = hashlib.sha256()
+        for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
+            digest.update(b"" if column is None else np.ascontiguousarray(column).tobytes())
+        history, notes = history_of_candidate(
+            self.name, solution, begun.start, begun.start_ns, test.dive.imu, test.prepared.velocities, test.baseline,
+            self.plan.evaluated_ns,
+        )  # fmt: skip
+        return history, notes, digest.hexdigest()
+
+    def runs(
+        self,
+        whole: GivenDive,
+        starts: Sequence[Start],
+        part: Dive,  # with the times of the reference at which errors are kept
+        outage_dives: Sequence[GivenDive],
+        windows: Windows | None,
+    ) -> UserRun:
+        """Run it from all starts, and over the dives of the outage test."""
+        reference = part.reference
+
+        def from_start(place: int) -> tuple[History | None, DrawnErrors | None, tuple[Note, ...], str]:
+            history, notes, digest = self.history(whole, f"start_{place + 1:03d}", starts[place])
+            errors = None if reference is None else run_from_start(history, reference, part.truth)
+            return (None if place else history), errors, notes, digest
+
+        def in_outages(test: GivenDive) -> History:
+            return self.history(test, test.name, starts[0])[0]
+
+        ((history, first, notes, digest),) = self.each(from_start, [0])  # a mistake of its own shows at the first run
+        assert history is not None
+        others = self.each(from_start, range(1, len(starts)))
+        drawn = None if first is None else drawn_errors([first, *(errors for _, errors, *_ in others if errors)])
+        if others and all(other == digest for *_, other in others):
+            notes = (*notes, note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"))
+        has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()
+        if windows is None or not has_attitude:
+            return UserRun(history, drawn, None, notes)
+        own = self.each(in_outages, outage_dives)
+        pairs = ([test.baseline for test in outage_dives], own)
+        baseline, candidate = (_drifts(outage_dives, found, whole.prepared, windows) for found in pairs)
+        velocities = whole.prepared.velocities
+        return UserRun(
+            history,
+            drawn,
+            OutageRuns(
+                _plan_of(velocities, windows),
+                distance_along_m(velocities.time_ns, velocities.velocity_b),
+                {whole.baseline.filter: baseline, self.name: candidate},
+            ),
+            notes,
+        )
+
+    def each(self, work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+        """Do the work on each item: of a program at the same time, of a class one after the other."""
+        if self.program is None:
+            return [work(item) for item in items]
+        executor = ThreadPoolExecutor(cpu_count())
+        try:
+            return list(executor.map(work, items))
+        except BaseException:
+            self.program.stop()
+            raise
+        finally:
+            executor.shutdown(cancel_futures=True)
+
+
+def _given(dive: Dive, prepared: Prepared) -> Dive:
+    """Return what the built-in filters get of a dive, without anything that judges them."""
+    start_ns, end_ns, time_ns = prepared.alignment.start_ns, prepared.end_ns, dive.imu.time_ns
+    covering = slice(int(np.searchsorted(time_ns, start_ns, "right")) - 1, int(np.searchsorted(time_ns, end_ns)) + 1)
+    velocities = prepared.velocities
+    return Dive(
+        dive.name,
+        dive.imu.rows(covering),
+        DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b),
+        sensors={name: columns.within(start_ns, end_ns) for name, columns in dive.sensors.items()},
+    )
+
+
+# --- The DVL outage test.
+
+
+def _windows(plan: OutagePlan) -> Windows | None:
+    """Choose the windows of one length; None where a dive has none."""
+    short = [windows for windows in plan.by_length if windows.window_s <= LONGEST_WINDOW_S and len(windows.first)]
+    enough = [windows for windows in short if len(windows.first) >= FEWEST_WINDOWS]
+    return next(iter([*enough[::-1], *short]), None)
+
+
+def _plan_of(velocities: DvlVelocities, windows: Windows) -> OutagePlan:
+    none = np.empty(0, np.int64)
+    return OutagePlan(velocities.time_ns, (windows,), Windows(windows.window_s, none, none, 0))
+
+
+def _outage_dives(dive: Dive, prepared: Prepared, config: Config, windows: Windows | None) -> list[GivenDive]:
+    """Make dives that lack the pings of every third window, and run the baseline over them."""
+    found, ping_ns, alignment = list[GivenDive](), prepared.velocities.time_ns, prepared.alignment
+    settings = changed(config, initial=alignment.initial or config.initial)
+    for number in range(OUTAGE_DIVES if windows is not None else 0):
+        assert windows is not None
+        rows = range(number, len(windows.first), OUTAGE_DIVES)
+        spans = [(int(windows.first[row]), int(windows.last[row])) for row in rows]
+        if not spans:
+            continue
+        given = given_dive(dive, config, [(int(ping_ns[first]), int(ping_ns[last])) for first, last in spans])
+        part = replace(prepare_dive(given, settings), alignment=alignment, end_ns=prepared.end_ns)
+        # Known at the samples around each absent ping, where the filter has a node in any case.
+        absent_ns = np.concatenate([ping_ns[first + 1 : last + 1] for first, last in spans])
+        before = np.searchsorted(dive.imu.time_ns, absent_ns, "right") - 1
+        around = np.unique(np.concatenate([before, np.minimum(before + 1, len(dive.imu.time_ns) - 1)]))
+        line = prepared_timeline(given, part, dive.imu.time_ns[around])
+        baseline = BuiltInFilter(part.filters[0]).run(RunDive(given, part, line, absent_ns[:0]), alignment.start)
+        found.append(GivenDive(f"outage_{number + 1}", _given(given, part), part, baseline, rows))
+    return found
+
+
+def _drifts(
+    dives: Sequence[GivenDive], histories: Sequence[History], prepared: Prepared, windows: Windows
+) -> tuple[OutageRun, ...]:
+    """Return the drift of a filter in all windows, in their order, by the absent pings."""
+    found, velocities, arm_b = dict[int, OutageRun](), prepared.velocities, prepared.mounting.lever_arm_b
+    for test, history in zip(dives, histories, strict=True):
+        imu = test.dive.imu
+        for row in test.windows:
+            pings = slice(int(windows.first[row]), int(windows.last[row]) + 1)
+            time_ns = velocities.time_ns[pings]
+            since_ns = imu.time_ns - time_ns[0]
+            rate_ib_b: Floats = np.column_stack(
+                [np.interp(time_ns - time_ns[0], since_ns, column) for column in imu.angular_rate_b.T]
+            )
+            mat_nb = interpolated_attitude(history.time_ns, history.mat_nb, time_ns)
+            velocity_n = interpolated(history.time_ns, history.velocity_n, time_ns)
+            rate_eb_b = rate_ib_b - earth_rate_n(prepared.alignment.start.position[0]) @ mat_nb
+            measured_n = np.einsum("kij,kj->ki", mat_nb, velocities.velocity_b[pings] - np.cross(rate_eb_b, arm_b))
+            found[row] = drift_run(time_ns, velocity_n - measured_n)
+    return tuple(found[row] for row in sorted(found))

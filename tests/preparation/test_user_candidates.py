@@ -1,0 +1,254 @@
+"""Filters of the user's: a program or a class gets the evidence of any candidate, and its failures change no other."""
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from insdvl_replay.core.config import Config, Evaluation, Filter
+from insdvl_replay.core.config_file import load_config, render_toml
+from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.tables import EvidenceRow, each_table
+from insdvl_replay.core.words import Verdict
+from insdvl_replay.logs import read_dive
+from insdvl_replay.preparation.candidates import Candidate, CandidateStart, Solution
+from insdvl_replay.preparation.programs import write_solution
+from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.sim.dive import simulate_dive
+
+HERE = "baseline_as_candidate"
+FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
+FIRST_LINES = "import json, pathlib, sys\ndive, start, solution = map(pathlib.Path, sys.argv[1:])\n"
+
+
+@pytest.fixture(scope="module")
+def dive() -> Dive:
+    return simulate_dive("lawnmower", seed=3, duration_s=220.0, imu_rate_hz=50.0)
+
+
+@pytest.fixture(scope="module")
+def alone(dive: Dive) -> Replay:
+    """The other candidates without one of the user's."""
+    return replay_dive(dive, config())
+
+
+@pytest.fixture(scope="module")
+def written(dive: Dive, alone: Replay, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The baseline's trajectory as a program would write it."""
+    path, baseline = tmp_path_factory.mktemp("solution") / "solution.csv", alone.histories[0]
+    write_solution(path, Solution(baseline.time_ns, baseline.position, baseline.velocity_n, baseline.mat_nb))
+    return path
+
+
+def config(mine: Filter | None = None, **evaluation: Any) -> Config:
+    filters = FILTERS if mine is None else {**FILTERS, "mine": mine}
+    return Config(filters=filters, evaluation=Evaluation(**({"starts": 1} | evaluation)))
+
+
+def program(folder: Path, script: str, **settings: Any) -> Filter:
+    """Write a program that begins with its three paths."""
+    path = folder / "mine.py"
+    path.write_text(FIRST_LINES + script)
+    return Filter(program=(sys.executable, "-S", "-E", str(path), "{dive}", "{start}", "{solution}"), **settings)
+
+
+def copying(written: Path) -> str:
+    return f"solution.write_bytes(pathlib.Path({str(written)!r}).read_bytes())\n"
+
+
+def evidence(replay: Replay) -> dict[str, EvidenceRow]:
+    return {row.quantity: row for row in replay.tables.evidence if row.filter == "mine"}
+
+
+def rows_of_others(replay: Replay) -> bytes:
+    tables = {
+        layout.name: [row for row in rows if getattr(row, "filter", "") != "mine"]
+        for layout, rows in each_table(replay.tables)
+    }
+    verdicts = {name: verdict for name, verdict in replay.verdicts.items() if name != "mine"}
+    return msgspec.json.encode([tables, verdicts])
+
+
+# --- The same evidence.
+
+
+def test_the_baseline_as_a_class_is_equivalent_in_all_evidence(dive: Dive, alone: Replay) -> None:
+    replay = replay_dive(dive, config(Filter(candidate=f"{HERE}:Baseline")))
+    rows = evidence(replay)
+    assert {"drift_30s", "velocity_along", "outage_30s", "position"} <= set(rows)
+    ratios = {quantity: row.ratio for quantity, row in rows.items() if row.ratio is not None}
+    assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=1e-6)
+    assert replay.verdicts["mine"].verdict == Verdict.EQUIVALENT
+    assert rows_of_others(replay) == rows_of_others(alone)
+    assert not any(row.filter == "mine" for row in replay.tables.consistency)
+    assert not any(row.filter == "mine" for row in replay.tables.credibility)
+
+
+def test_covariance_gives_nees_and_innovations_give_nis(dive: Dive) -> None:
+    replay = replay_dive(dive, config(Filter(candidate=f"{HERE}:BaselineWithCov")))
+    nis = {row.filter: row for row in replay.tables.consistency if row.measurement == "velocity_x"}
+    assert nis["mine"].mean_nis == pytest.approx(nis["baseline"].mean_nis, rel=1e-6)
+    nees = {row.filter: row for row in replay.tables.credibility if row.quantity == "attitude"}
+    assert nees["mine"].mean_nees == pytest.approx(nees["baseline"].mean_nees, rel=0.05)
+
+
+def test_a_program_is_given_what_the_filters_get_and_nothing_that_judges_them(
+    dive: Dive, written: Path, tmp_path: Path
+) -> None:
+    script = copying(written) + f"pathlib.Path({str(tmp_path)!r}, dive.name).write_bytes(dive.read_bytes())\n"
+    script += f"pathlib.Path({str(tmp_path)!r}, 'start.json').write_bytes(start.read_bytes())\n"
+    replay_dive(dive, config(program(tmp_path, script)))
+    assert sorted(path.name for path in tmp_path.glob("*.mcap")) == [
+        "dive.mcap", "outage_1.mcap", "outage_2.mcap", "outage_3.mcap",
+    ]  # fmt: skip
+    given = {path.stem: read_dive(path, Config()) for path in tmp_path.glob("*.mcap")}
+    assert all(found.reference is None and found.truth is None for found in given.values())
+    absent = [set(dive.dvl.time_ns) - set(given[f"outage_{i}"].dvl.time_ns) for i in (1, 2, 3)]
+    start_ns = int(dive.dvl.time_ns[0])
+    assert all(len(times) >= 30 for times in absent)
+    assert sum(map(len, absent)) == len(set.union(*absent))
+    assert set.union(*absent) <= set(dive.dvl.time_ns[dive.dvl.time_ns > start_ns + 99 * 10**9])
+    start = json.loads((tmp_path / "start.json").read_text())
+    assert start["time_ns"] == dive.imu.time_ns[0]
+    assert start["velocity_ned_mps_sd"] == [0.1, 0.1, 0.1]
+    assert start["roll_pitch_heading_deg_sd"] == pytest.approx([0.5, 0.5, 0.5])
+
+
+@pytest.mark.all_starts
+def test_a_program_that_ignores_its_start_is_reported(dive: Dive, written: Path, tmp_path: Path) -> None:
+    replay = replay_dive(dive, config(program(tmp_path, copying(written)), starts=3))
+    assert "candidate_ignores_start" in {note.code for note in replay.notes}
+    assert evidence(replay)["drift_30s"].starts == 3
+
+
+# --- Failures.
+
+LINES = "lines = solution.read_text().splitlines(keepends=True)\n"
+FAILURES = {
+    "exit code": ("sys.stderr.write('singular matrix')\nsys.exit(3)", "ended with exit code 3: singular matrix"),
+    "signal": ("import os\nos.abort()", "was ended by the signal SIGABRT"),
+    "no output": ("solution.unlink()", "wrote no solution"),
+    "empty": ("solution.write_text('')", "wrote an empty solution"),
+    "no numbers": ("solution.write_text('time_ns,height_m\\n1,deep\\n')", "is not CSV of numbers"),
+    "unknown column": ("solution.write_text('time_ns,vn\\n1,2\\n')", "column 'vn', which is not known"),
+    "half a group": ("solution.write_text('time_ns,roll_deg\\n1,2\\n')", "without pitch_deg and heading_deg"),
+    "NaN": (
+        LINES + "lines[9] = lines[9].split(',')[0] + ',nan' * 9 + '\\n'\nsolution.write_text(''.join(lines))",
+        "not finite in 1 of",
+    ),
+    "wrong times": (
+        LINES + "solution.write_text(lines[0] + ''.join('2' + line[1:] for line in lines[1:]))",
+        "wrong times",
+    ),
+    "half a file": (LINES + "solution.write_text(''.join(lines[: len(lines) // 2]))", "only 50 % of the replay"),
+    "cut off": ("solution.write_text(solution.read_text()[:-70])", "is cut off in line"),
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_failure_is_not_evaluated_and_changes_no_other_candidate(
+    failure: str, dive: Dive, alone: Replay, written: Path, tmp_path: Path
+) -> None:
+    script, reason = FAILURES[failure]
+    replay = replay_dive(dive, config(program(tmp_path, copying(written) + script)))
+    verdict = replay.verdicts["mine"]
+    assert verdict.verdict == Verdict.NOT_EVALUATED
+    assert reason in verdict.sentence
+    assert not any(row.verdict for row in evidence(replay).values())
+    assert rows_of_others(replay) == rows_of_others(alone)
+
+
+def test_a_program_that_hangs_is_ended(dive: Dive, tmp_path: Path) -> None:
+    script = "import subprocess, time\nsubprocess.Popen(['sleep', '77'])\nprint('now', flush=True)\ntime.sleep(77)"
+    replay = replay_dive(dive, config(program(tmp_path, script, timeout_s=0.3)))
+    assert "mine did not end within 0.3 s" in replay.verdicts["mine"].sentence
+    assert "now\n" in replay.printed["mine"]
+
+
+def test_a_program_that_is_not_there(dive: Dive) -> None:
+    replay = replay_dive(dive, config(Filter(program=("./nowhere", "{dive}", "{solution}"))))
+    assert "cannot be started: ./nowhere: No such file" in replay.verdicts["mine"].sentence
+
+
+@pytest.mark.parametrize("scenario", ["figure-eight", "straight"])
+def test_the_solution_of_another_dive(scenario: str, dive: Dive, tmp_path: Path) -> None:
+    other = simulate_dive(scenario, seed=3, duration_s=220.0, imu_rate_hz=50.0)
+    run = replay_dive(other, config()).histories[0]
+    write_solution(tmp_path / "other.csv", Solution(run.time_ns, run.position, run.velocity_n, run.mat_nb))
+    replay = replay_dive(dive, config(program(tmp_path, copying(tmp_path / "other.csv"))))
+    assert "not of this dive" in replay.verdicts["mine"].sentence
+
+
+class Failing(Candidate):
+    """A class with a mistake."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Fail."""
+        sys.stdout.write("before\n")
+        raise ZeroDivisionError("here")
+
+
+@pytest.mark.parametrize(
+    ("word", "reason"),
+    [
+        (f"{__name__}:Failing", "ZeroDivisionError: here"),
+        (f"{__name__}:Missing", "has no attribute 'Missing'"),
+        ("not_there:Mine", "No module named 'not_there'"),
+        (f"{__name__}:config", "is not a class"),
+    ],
+)
+def test_a_class_that_fails(word: str, reason: str, dive: Dive, alone: Replay) -> None:
+    replay = replay_dive(dive, config(Filter(candidate=word)))
+    assert reason in replay.verdicts["mine"].sentence
+    assert rows_of_others(replay) == rows_of_others(alone)
+    assert replay.printed.get("mine", "") == ("before\n" if "Failing" in word else "")
+
+
+# --- Settings.
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ('filters.mine.program=["./a"]', "no argument with {dive} and {solution}"),
+        ("filters.mine.program=[]", "program is empty"),
+        ("filters.mine.candidate=Mine", "not of the form module:Class"),
+        ('filters.mine={candidate="a:B", aiding=["velocity"]}', "filters.mine.aiding has no use"),
+        ('filters.baseline={candidate="a:B"}', "cannot be the baseline"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(settings: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(said)):
+        load_config(overrides=[settings], allow_code=True)
+
+
+def test_settings_of_a_program_are_written_and_read(tmp_path: Path) -> None:
+    words = '["./mine", "{dive}", "../{solution}"]'
+    (tmp_path / "a.toml").write_text(f'[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\nprogram = {words}\n')
+    found = load_config(file=tmp_path / "a.toml", allow_code=True)
+    assert found.filters["mine"].program == (str(tmp_path / "mine"), "{dive}", str(tmp_path / "../{solution}"))
+    (tmp_path / "b.toml").write_text(render_toml(found))
+    assert load_config(file=tmp_path / "b.toml", allow_code=True) == found
+    assert found.without_code().filters.keys() == {"baseline"}
+    with pytest.raises(ConfigError, match=r"a\.toml: filters\.mine\.program names code: .*/mine "):
+        load_config(file=tmp_path / "a.toml")
+
+
+@pytest.mark.nightly
+@pytest.mark.all_starts
+def test_the_baseline_as_a_program_is_equivalent_in_all_evidence(dive: Dive) -> None:
+    script = str(Path(__file__).with_name(f"{HERE}.py"))
+    replay = replay_dive(
+        dive, config(Filter(program=(sys.executable, script, "{dive}", "{start}", "{solution}")), starts=16)
+    )
+    rows = evidence(replay)
+    assert {"drift_30s", "level", "heading", "outage_30s", "convergence_velocity"} <= set(rows)
+    assert {row.starts for row in rows.values()} == {1, 15, 16}
+    ratios = {quantity: row.ratio for quantity, row in rows.items() if row.ratio is not None and row.ratio > 0.0}
+    assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=1e-6)
+    assert replay.verdicts["mine"].verdict == Verdict.EQUIVALENT
