@@ -38,10 +38,12 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from insdvl_replay.api import (
+        Candidate,
         CommandResult,
         DiveResult,
         DiveResults,
         Result,
+        Solution,
         UserMeasurement,
         UserReadings,
         calibrate,
@@ -53,13 +55,14 @@ if TYPE_CHECKING:
         read_result,
         read_results,
         replay_log,
+        run_as_program,
         simulate,
     )  # fmt: skip
 
 __all__ = [
-    "CommandResult", "DiveResult", "DiveResults", "Result", "UserMeasurement", "UserReadings", "__version__",
-    "calibrate", "check", "compare", "inspect", "load_config", "propose", "read_result", "read_results", "replay_log",
-    "simulate",
+    "Candidate", "CommandResult", "DiveResult", "DiveResults", "Result", "Solution", "UserMeasurement", "UserReadings",
+    "__version__", "calibrate", "check", "compare", "inspect", "load_config", "propose", "read_result", "read_results",
+    "replay_log", "run_as_program", "simulate",
 ]  # fmt: skip
 
 

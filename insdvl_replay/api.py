@@ -5,6 +5,7 @@ change.
 """
 
 import os
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,6 +18,8 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, hint_for
 from insdvl_replay.core.result import Block, Callout, Code, Part, Report, Title
 from insdvl_replay.core.result import Result as Content
+from insdvl_replay.nav.user_candidate import Candidate as Candidate
+from insdvl_replay.nav.user_candidate import Solution as Solution
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
 from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
 from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, result_file, result_folder
@@ -341,6 +344,21 @@ def check(
             [outcome] = replay_jobs(jobs, known_reports(jobs, force=True), None)
             checked.append(checked_replay(outcome.job.target, outcome.result))
     return CommandResult(check_result(evaluate_gates(found, checked)))
+
+
+def run_as_program(candidate: type[Candidate]) -> None:
+    """Run your filter as a program that settings name with ``{dive}``, ``{start}`` and ``{solution}``, in this order.
+
+    Parameters
+    ----------
+    candidate : type
+        Your class, derived from `Candidate`.
+    """
+    if len(sys.argv) != 4:
+        raise SystemExit(f"usage: {sys.argv[0]} DIVE START SOLUTION")
+    from insdvl_replay.preparation.programs import run_as_program as run
+
+    run(candidate, *map(Path, sys.argv[1:]))
 
 
 # --- Results.

@@ -8,7 +8,6 @@ import io
 import os
 import signal
 import subprocess
-import sys
 import threading
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,14 +22,8 @@ from insdvl_replay.core.errors import hint_for, read_regular, visible
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.preparation.candidates import (
-    MOST_COVARIANCES,
-    Candidate,
-    CandidateError,
-    CandidateStart,
-    Solution,
-    misalignment_cov,
-)
+from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution, misalignment_cov
+from insdvl_replay.preparation.candidates import MOST_COVARIANCES
 
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
@@ -235,16 +228,10 @@ def write_solution(path: Path, solution: Solution) -> None:
     pd.DataFrame(columns).to_csv(path, index=False)
 
 
-def run_as_program(kind: type[Candidate], arguments: list[str] | None = None) -> None:
-    """Run a candidate as the program in the settings: with the paths of dive, start and solution.
-
-    For ``program = ["python", "./my_filter.py", "{dive}", "{start}", "{solution}"]``.
-    """
-    dive_file, start_file, solution_file = map(Path, sys.argv[1:4] if arguments is None else arguments)
+def run_as_program(kind: type[Candidate], dive_file: Path, start_file: Path, solution_file: Path) -> None:
+    """Run a class over the files that a program is given."""
     start = CandidateStart.from_json(start_file.read_text("utf-8"))
-    config = Config()
-    dive = logs.read_dive(dive_file, config)
-    sensors = tuple(_TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS)
-    if sensors:
+    dive = logs.read_dive(dive_file, Config())
+    if sensors := tuple(_TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS):
         dive = logs.read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
     write_solution(solution_file, kind().run(dive, start))

@@ -38,14 +38,8 @@ from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.preparation.candidates import (
-    CandidateError,
-    CandidateStart,
-    Solution,
-    failed_history,
-    history_of_candidate,
-    run_class,
-)
+from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
+from insdvl_replay.preparation.candidates import failed_history, history_of_candidate, run_class
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import given_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive

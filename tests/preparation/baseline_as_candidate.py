@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from insdvl_replay.api import run_as_program
 from insdvl_replay.core.config import Config, Filter, Initial
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
-from insdvl_replay.preparation.candidates import Candidate, CandidateStart, Solution
+from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
 from insdvl_replay.preparation.prepared import prepare_dive
-from insdvl_replay.preparation.programs import run_as_program
 from insdvl_replay.preparation.run import prepared_timeline, run_one
 
 

@@ -16,7 +16,7 @@ from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.tables import EvidenceRow, each_table
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.logs import read_dive
-from insdvl_replay.preparation.candidates import Candidate, CandidateStart, Solution
+from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
 from insdvl_replay.preparation.programs import write_solution
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive

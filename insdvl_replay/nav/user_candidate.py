@@ -1,0 +1,109 @@
+"""A filter of the user's: a class that makes a solution of a dive and a start, or a program with the same as files."""
+
+import json
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
+from insdvl_replay.core.states import DEG
+from insdvl_replay.geometry.frames import moved_position
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.nav.levelling import Start
+
+
+class CandidateError(Exception):
+    """Why a candidate is not evaluated."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The trajectory of a candidate. What it does not estimate is left out."""
+
+    time_ns: TimeNs  # (k,), increasing, on the clock of the dive
+    position: Floats | None = None  # (k, 3), latitude rad, longitude rad, height m
+    velocity_n: Floats | None = None  # (k, 3), m/s
+    mat_nb: Floats | None = None  # (k, 3, 3)
+    # (c, 9, 9), covariance of the errors of velocity, attitude (misalignment in n) and position (m, in n), SI; NaN for
+    # those that are not known
+    cov: Floats | None = None
+    cov_ns: TimeNs | None = None  # (c,), its times, if they are not those of the rows
+    innovation_b: Floats | None = None  # (k, 3), predicted minus measured velocity of the DVL; NaN where there is none
+    innovation_cov: Floats | None = None  # (k, 3, 3), their covariance S
+
+
+@dataclass(frozen=True)
+class CandidateStart(Start):
+    """The start that a candidate is given: a `Start` with its time, and what the dive does not hold."""
+
+    time_ns: int = 0
+    dvl_lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # IMU to DVL, m
+    position_sd_m: Floats = field(default_factory=lambda: np.ones(3))  # north, east, down
+
+    def to_json(self) -> str:
+        """Write what a program is given, with standard deviations as ``NAME_sd``."""
+        _, _, heading = rpy_from_mat(self.mat_nb)
+        level_nb, sd = mat_from_rpy(np.array([0.0, 0.0, heading])), self.sd
+        level_cov = level_nb.T @ self.cov[3:6, 3:6] @ level_nb
+        position_sd = np.abs(moved_position(self.position, self.position_sd_m) - self.position)
+        values: dict[str, tuple[Any, Any]] = {
+            "latitude_deg": (self.position[0] / DEG, position_sd[0] / DEG),
+            "longitude_deg": (self.position[1] / DEG, position_sd[1] / DEG),
+            "height_m": (self.position[2], position_sd[2]),
+            "velocity_ned_mps": (self.velocity_n, sd[0:3]),
+            "roll_pitch_heading_deg": (rpy_from_mat(self.mat_nb) / DEG, np.sqrt(np.diagonal(level_cov)) / DEG),
+            "accelerometer_bias_mps2": (self.accel_bias_b, sd[6:9]),
+            "gyro_bias_radps": (self.gyro_bias_b, sd[9:12]),
+        }
+        content: dict[str, Any] = {"time_ns": self.time_ns}
+        for name, (value, sigma) in values.items():
+            content[name], content[f"{name}_sd"] = np.asarray(value).tolist(), np.asarray(sigma).tolist()
+        content["dvl_lever_arm_m"] = self.dvl_lever_arm_b.tolist()
+        return json.dumps(content, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> "CandidateStart":
+        """Read what `to_json` writes."""
+        content = json.loads(text)
+        rpy_sd = np.array(content["roll_pitch_heading_deg_sd"]) * DEG
+        rpy = np.array(content["roll_pitch_heading_deg"]) * DEG
+        sd = [content[f"{name}_sd"] for name in ("velocity_ned_mps", "accelerometer_bias_mps2", "gyro_bias_radps")]
+        cov = np.diag(np.concatenate([sd[0], np.zeros(3), sd[1], sd[2]]) ** 2)
+        cov[3:6, 3:6] = misalignment_cov(rpy_sd[None], rpy[2:])[0]
+        return cls(
+            np.array([content["latitude_deg"] * DEG, content["longitude_deg"] * DEG, content["height_m"]]),
+            np.array(content["velocity_ned_mps"]),
+            mat_from_rpy(rpy),
+            cov,
+            np.array(content["accelerometer_bias_mps2"]),
+            np.array(content["gyro_bias_radps"]),
+            time_ns=content["time_ns"],
+            dvl_lever_arm_b=np.array(content["dvl_lever_arm_m"]),
+        )
+
+
+class Candidate:
+    """A filter of yours; made without arguments, anew for each run.
+
+    `insdvl_replay.run_as_program` makes a program of it.
+    """
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Return the trajectory from the start to the end of the dive.
+
+        Parameters
+        ----------
+        dive : Dive
+            What the built-in filters get: ``imu``, ``dvl.velocity_d`` in the axes of the IMU, and ``sensors``; all in
+            SI, at their times of validity.
+        start : CandidateStart
+            State, covariance and time at the start.
+        """
+        raise NotImplementedError
+
+
+def misalignment_cov(rpy_sd: Floats, heading: Floats) -> Floats:
+    """Turn standard deviations of roll, pitch and heading, shape (k, 3), to a covariance in n, shape (k, 3, 3)."""
+    level_nb = mat_from_rpy(np.column_stack([np.zeros((len(heading), 2)), heading]))
+    return np.asarray((level_nb * rpy_sd[:, None, :] ** 2) @ np.swapaxes(level_nb, 1, 2))
