@@ -7,17 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
+from baseline_as_candidate import Baseline
 
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.config_file import load_config, render_toml
-from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.dive_columns import Dive, DvlColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.tables import EvidenceRow, each_table
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.logs import read_dive
+from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
-from insdvl_replay.preparation.programs import write_solution
+from insdvl_replay.preparation.programs import read_solution, run_as_program, write_solution
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -252,3 +255,70 @@ def test_the_baseline_as_a_program_is_equivalent_in_all_evidence(dive: Dive) -> 
     ratios = {quantity: row.ratio for quantity, row in rows.items() if row.ratio is not None and row.ratio > 0.0}
     assert ratios == pytest.approx(dict.fromkeys(ratios, 1.0), abs=1e-6)
     assert replay.verdicts["mine"].verdict == Verdict.EQUIVALENT
+
+
+# --- The example, as a class and as a program.
+
+EXAMPLES = Path(__file__).parents[2] / "examples" / "candidates"
+
+
+def test_the_example_as_a_class_is_evaluated(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    replay = replay_dive(dive, config(Filter(candidate="dead_reckoning:DeadReckoning")))
+    assert replay.verdicts["mine"].verdict != Verdict.NOT_EVALUATED
+    assert {"drift_30s", "velocity_across", "outage_30s"} <= set(evidence(replay))
+    assert evidence(replay)["drift_30s"].value < 1.0
+
+
+def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path: Path) -> None:
+    """The same filter as a class, and by the files that a program reads and writes."""
+    assert dive.reference is not None
+    start = CandidateStart(
+        *(
+            dive.reference.position[0],
+            dive.reference.velocity_n[0],
+            dive.reference.mat_nb[0],
+            np.diag(np.full(12, 1e-6)),
+        ),
+        np.full(3, 0.01),
+        np.full(3, 1e-5),
+        time_ns=int(dive.imu.time_ns[0]),
+        dvl_lever_arm_b=np.array([1.0, -0.2, 0.3]),
+    )
+    velocities = dvl_velocities(dive.dvl)
+    given = Dive("dive", dive.imu, DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b))
+    write_dive(tmp_path / "dive.mcap", given)
+    (tmp_path / "start.json").write_text(start.to_json())
+    run_as_program(Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution.csv")
+    read, direct = read_solution(tmp_path / "solution.csv"), Baseline().run(given, start)
+    np.testing.assert_array_equal(read.time_ns, direct.time_ns)
+    np.testing.assert_allclose(read.velocity_n, direct.velocity_n, atol=1e-9)
+    np.testing.assert_allclose(read.position, direct.position, atol=1e-12)
+    np.testing.assert_allclose(read.mat_nb, direct.mat_nb, atol=1e-12)
+
+
+def test_standard_deviations_of_a_file_become_a_covariance(tmp_path: Path) -> None:
+    names = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps", "roll_deg", "pitch_deg", "heading_deg")
+    header = ",".join(["time_ns", *names, *(f"{name}_sd" for name in names)])
+    (tmp_path / "a.csv").write_text(f"{header}\n5,1,0,0,0,0,90,0.1,0.2,0.3,1,2,3\n")
+    cov = read_solution(tmp_path / "a.csv").cov
+    assert cov is not None
+    np.testing.assert_allclose(np.diagonal(cov[0])[:3], [0.01, 0.04, 0.09])
+    # At a heading of 90 deg, roll is about east and pitch about south.
+    np.testing.assert_allclose(np.sqrt(np.diagonal(cov[0])[3:6]), np.deg2rad([2.0, 1.0, 3.0]))
+    assert np.isnan(np.diagonal(cov[0])[6:]).all()
+
+
+@pytest.mark.nightly
+def test_the_example_as_a_program_gives_the_same(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    words = (sys.executable, str(EXAMPLES / "dead_reckoning.py"), "{dive}", "{start}", "{solution}")
+    found = [
+        evidence(replay_dive(dive, config(settings)))
+        for settings in (Filter(candidate="dead_reckoning:DeadReckoning"), Filter(program=words))
+    ]
+    assert found[0].keys() == found[1].keys()
+    for quantity, row in found[0].items():
+        if row.value is not None:
+            assert found[1][quantity].value == pytest.approx(row.value, rel=1e-6, abs=1e-9, nan_ok=True)
