@@ -376,5 +376,5 @@ def what_settles(interval: RatioInterval, dives: int) -> str:
     needed = (POWER * interval.log_sd * math.sqrt(dives) / beyond) ** 2 + SMALL_SAMPLE
     if not needed > dives:
         return ""
-    share = f"{100.0 * SETTLED:.0f} %"
-    return f"at least {math.ceil(needed)} dives like {'this one' if dives == 1 else 'these'} would settle {share}"
+    these = "this one" if dives == 1 else "these"
+    return f"at least {math.ceil(needed)} dives like {these} would show a difference of {100.0 * SETTLED:.0f} %"

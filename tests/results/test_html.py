@@ -78,7 +78,7 @@ def test_verdict_comes_first_and_every_cell_of_every_table_is_there(result: tupl
     word, against, decided, predicted, _ = document.texts["p"][:5]
     assert (word, against) == (aided.verdict.upper(), "aided against baseline")
     assert decided.startswith(f"Drift in 30 s {100.0 * (1.0 - finite(drift.ratio)):.1f}")
-    assert re.search(r"At least \d+ dives like this one would settle 10\s%\.$", decided)
+    assert re.search(r"At least \d+ dives like this one would show a difference of 10\s%\.$", decided)
     assert predicted.startswith(f"Predicted: {aided.mean_improvement_pct:.1f}")
     assert "Not confirmed" in predicted
     for table in page_tables(report):
