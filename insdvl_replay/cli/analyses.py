@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
+from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def inspect(
 
     if propose is not None:
         require_replaceable_file(propose, force=force)
-    given, code = load_config(preset, config, settings, allow_code=True), 0
+    given, code = load_config(preset, config, settings, allow_code=True, report=log_info), 0
     if given.code:
         log_to_stderr(f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}")
     resolved = given.without_code()
@@ -203,7 +203,7 @@ def calibrate(
     from insdvl_replay.results.folder import require_replaceable_file, result_file
     from insdvl_replay.show.render import render
 
-    resolved = load_config(preset, config, settings, allow_code=allow_code)
+    resolved = load_config(preset, config, settings, allow_code=allow_code, report=log_info)
     groups = require_groups(None if only is None else only.split(","), reference=reference)
     for file in (output, page_file):
         if file is not None:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
+from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, error_context, looked_for
 
 GATE_FAILED = 1
@@ -189,7 +189,7 @@ def check(
                 raise ConfigError(text, "paths are relative to the gate file")
         config = [named]
     options = ReplayOptions(
-        load_config(preset or content.preset, config, settings, allow_code=allow_code),
+        load_config(preset or content.preset, config, settings, allow_code=allow_code, report=log_info),
         allow_damaged=allow_damaged or content.allow_damaged,
         histories=histories,
     )

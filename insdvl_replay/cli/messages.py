@@ -45,6 +45,11 @@ def log_to_stderr(text: str) -> None:
         print(without_commands(visible(text)), file=sys.stderr, flush=True)
 
 
+def log_info(text: str) -> None:
+    """Report something that the user may want to know."""
+    log_to_stderr(f"info: {text}")
+
+
 def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
     """Report the warnings; all notes if verbose."""
     for note in notes:

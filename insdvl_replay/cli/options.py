@@ -89,7 +89,7 @@ ConfigFiles = Annotated[
         "-c",
         "--config",
         metavar="FILE",
-        help="TOML settings that override the preset. Later files override earlier ones.",
+        help="TOML settings that override the preset. Later files override earlier ones; the filters of all are kept.",
     ),
 ]
 Outages = Annotated[

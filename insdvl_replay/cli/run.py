@@ -97,7 +97,7 @@ def run(
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
-    from insdvl_replay.cli.messages import log_failure, log_notes, log_to_stderr, write_stdout
+    from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
@@ -122,7 +122,7 @@ def run(
     given = [*settings, *opt.span_settings(start, end), *drawn]
     is_free = auto and not (control or preset or config or scheduler or sets_roles(settings))
     options = ReplayOptions(
-        load_config(preset, config, given, allow_code=allow_code),
+        load_config(preset, config, given, allow_code=allow_code, report=log_info),
         allow_damaged=allow_damaged,
         control=control,
         tracks=tuple(name for name, is_wanted in (("tum", tum), ("kml", kml), ("geojson", geojson)) if is_wanted),

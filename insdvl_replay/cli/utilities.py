@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 import typer
 
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.messages import log_to_stderr, write_stdout
+from insdvl_replay.cli.messages import log_info, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, hint_for, require_known, visible
 from insdvl_replay.core.states import SENSORS
 
@@ -168,7 +168,7 @@ def config(
     """
     from insdvl_replay.core.config_file import load_config, render_toml
 
-    write_stdout(render_toml(load_config(preset, file, settings, allow_code=True)))
+    write_stdout(render_toml(load_config(preset, file, settings, allow_code=True, report=log_info)))
 
 
 def schema(
@@ -232,6 +232,9 @@ def json_schema(name: str) -> bytes:
         "title": f"insdvl-replay {'configuration' if name == 'config' else name}",
         **_with_words(schema),
     }
+    if name == "config":
+        filters = described["$defs"]["Config"]["properties"]["filters"]
+        filters["additionalProperties"] = {"anyOf": [filters["additionalProperties"], {"const": False}]}
     return as_json(described)
 
 

@@ -7,7 +7,7 @@ import hashlib
 import math
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import EnumMeta
@@ -33,6 +33,7 @@ from insdvl_replay.core.errors import (
     nearest,
     read_regular,
     read_text,
+    require_known,
     visible,
 )
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
@@ -250,21 +251,26 @@ def load_config(
     file: Path | Sequence[Path] | None = None,
     overrides: Sequence[str] = (),
     *,
+    against: Sequence[str] = (),
     allow_code: bool = False,
+    report: Callable[[str], None] = lambda _: None,
 ) -> Config:
-    """Resolve the settings: defaults < preset < file < overrides.
+    """Resolve the settings: defaults < preset < file < overrides < against.
 
     Parameters
     ----------
     preset : str, optional
         One of `PRESETS`.
     file : Path or sequence of Path, optional
-        TOML files; later ones override earlier ones. A ``[filters]`` section replaces all filters; every other key
-        changes one setting.
-    overrides : sequence of str
-        ``section.key=value`` with a TOML value; a bare word is taken as a string.
+        TOML files; later ones override earlier ones, key by key. The filters of the first file that has some replace
+        those of the preset. The filters of later files are added; one with a known name replaces that filter.
+    overrides, against : sequence of str
+        ``section.key=value`` with a TOML value; a bare word is taken as a string. ``filters.NAME=false`` leaves a
+        filter out.
     allow_code : bool
         The settings may name code, as ``module:Class``. Nothing is imported here.
+    report : callable
+        Is called with a sentence for each filter that a file replaces.
 
     Raises
     ------
@@ -282,18 +288,20 @@ def load_config(
         source = read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
         layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
     settings = msgspec.to_builtins(Config())
+    owners = dict[str, str]()  # by filter, the file that names it
     for layer in layers:
-        if "filters" in layer.content:
-            del settings["filters"]
-        settings = _merged(settings, layer.content)
+        settings = _overridden(_with_place_for(layer, settings, owners, report), layer)
         _resolved(settings, layer)
-    changes = [_parse_override(override) for override in overrides]
+    changes = [
+        *(_parse_override("--set", override) for override in overrides),
+        *(_parse_override("--against", override) for override in against),
+    ]
     try:  # a valid filter may need two of them together
-        whole = reduce(_merged, (change.content for change in changes), settings)
+        whole = reduce(_overridden, changes, settings)
         config = _resolved(whole, TomlSource("the configuration"))
     except ConfigError:
         for change in changes:  # finds the wrong one
-            settings = _merged(settings, change.content)
+            settings = _overridden(settings, change)
             _resolved(settings, change)
         raise
     for key, what, hint in islice(_problems(config, allow_code=allow_code), 1):
@@ -303,20 +311,49 @@ def load_config(
     return _with_digests(config)
 
 
-def _parse_override(text: str) -> TomlSource:
+def _with_place_for(
+    layer: TomlSource, settings: dict[str, Any], owners: dict[str, str], report: Callable[[str], None]
+) -> dict[str, Any]:
+    """Empty the filters that a layer defines anew: of the first file all that were there, of later ones their own."""
+    given, filters = layer.content.get("filters"), settings["filters"]
+    if not isinstance(given, Mapping):
+        return settings
+    defined = [name for name, entry in given.items() if entry is not False]
+    if not owners and (defined or not given):
+        filters = {}
+    for name in defined:
+        if name in filters and filters[name] != given[name]:
+            report(f"{layer.name} replaces the filter {name} of {owners[name]}")
+    if layer.text:  # a file, not a preset
+        owners.update(dict.fromkeys(defined, layer.name))
+    return settings | {"filters": {name: {} if name in defined else entry for name, entry in filters.items()}}
+
+
+def _overridden(settings: Mapping[str, Any], source: TomlSource) -> dict[str, Any]:
+    """Put a source over the settings. A filter that it sets to ``false`` is left out."""
+    merged = _merged(settings, source.content)
+    if isinstance(filters := merged["filters"], Mapping):
+        for name in (name for name, entry in filters.items() if entry is False):
+            with error_context(source.name):
+                require_known("filter", name, settings["filters"])
+        merged["filters"] = {name: entry for name, entry in filters.items() if entry is not False}
+    return merged
+
+
+def _parse_override(option: str, text: str) -> TomlSource:
     path, equals, value = text.partition("=")
     keys = path.strip().split(".")
     if not equals or not all(keys) or len(keys) < 2:
-        raise ConfigError(f"--set {text}: is not of the form section.key=value", _OVERRIDE)
+        raise ConfigError(f"{option} {text}: is not of the form section.key=value", _OVERRIDE)
     if not is_writable(text):
-        raise ConfigError(f"--set {text}: is not UTF-8 text", _OVERRIDE)
+        raise ConfigError(f"{option} {text}: is not UTF-8 text", _OVERRIDE)
     try:
         parsed: Any = parse_toml(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()
     for key in reversed(keys):
         parsed = {key: parsed}
-    return TomlSource(f"--set {text}", content=parsed, assigned="--set '{}={}'")
+    return TomlSource(f"{option} {text}", content=parsed, assigned=f"{option} '{{}}={{}}'")
 
 
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -41,6 +41,30 @@ def test_a_file_with_filters_names_all_filters(tmp_path: Path) -> None:
     assert load_config("fog", file).filters == {"alone": Filter(aiding=("velocity",))}
 
 
+def test_later_files_add_filters_and_replace_those_of_the_same_name(tmp_path: Path) -> None:
+    first = written(tmp_path, f'{RUN}aiding = ["beams"]\ngate_probability = 0.9\n')
+    second = tmp_path / "more.toml"
+    second.write_text('[filters.c]\naiding = ["velocity"]\n[filters.b]\naiding = ["depth"]\n')
+    said: list[str] = []
+    filters = load_config("fog", [first, second], report=said.append).filters
+    assert list(filters) == ["a", "b", "c"], "the baseline stays first"
+    assert filters["b"] == Filter(aiding=("depth",)), "no key of the replaced filter stays"
+    assert said == [f"{second} replaces the filter b of {first}"]
+    load_config("fog", [first, first], report=said.append)
+    assert len(said) == 1, "the same filter again is no news"
+
+
+def test_false_leaves_a_filter_out(tmp_path: Path) -> None:
+    assert list(load_config(overrides=["filters.aided=false"]).filters) == ["baseline"]
+    file = written(tmp_path, "[filters]\nbaseline = false\n")
+    assert list(load_config("fog", file).filters) == ["aided"], (
+        "a file that defines no filter keeps those of the preset"
+    )
+    for source in ({"file": file, "overrides": ["filters.baseline=false"]}, {"overrides": ["filters.aidd=false"]}):
+        with pytest.raises(ConfigError, match=r"^--set filters\.\w+=false: filter '\w+' is not known"):
+            load_config(**source)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_resolved_configuration_reproduces_itself(preset: str, tmp_path: Path) -> None:
     config = load_config(preset)
