@@ -49,6 +49,7 @@ if TYPE_CHECKING:
         calibrate,
         check,
         compare,
+        compare_settings,
         inspect,
         load_config,
         propose,
@@ -61,8 +62,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Candidate", "CommandResult", "DiveResult", "DiveResults", "Result", "Solution", "UserMeasurement", "UserReadings",
-    "__version__", "calibrate", "check", "compare", "inspect", "load_config", "propose", "read_result", "read_results",
-    "replay_log", "run_as_program", "simulate",
+    "__version__", "calibrate", "check", "compare", "compare_settings", "inspect", "load_config", "propose",
+    "read_result", "read_results", "replay_log", "run_as_program", "simulate",
 ]  # fmt: skip
 
 

@@ -307,6 +307,31 @@ def compare(
     return CommandResult(comparison_result(found, brief_document(found)))
 
 
+def compare_settings(
+    logs: Paths, before: Config, after: Config, folder: Text, *, allow_damaged: bool = False, force: bool = False
+) -> "CommandResult":
+    """Replay dives with two settings, a log each, into ``folder/before`` and ``folder/after``, and compare them.
+
+    Parameters
+    ----------
+    before, after : Config
+        From `load_config`.
+    folder : str or Path
+        Results that are up to date are used again.
+    force : bool
+        Replace other results.
+    """
+    from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
+
+    options = ReplayOptions(before, allow_damaged=allow_damaged)
+    (old, old_jobs), (new, new_jobs) = plan_both_sides(_paths(logs), Path(folder), options, after)
+    jobs = [*old_jobs, *new_jobs]
+    for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
+        if isinstance(outcome.result, Exception):
+            raise outcome.result
+    return compare(old, new, dives=[job.target.name for job in old_jobs])
+
+
 def check(
     gates: Text, dives: Paths = (), config: Config | None = None, *, results: Text = "checked"
 ) -> "CommandResult":

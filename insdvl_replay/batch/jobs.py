@@ -100,6 +100,18 @@ def plan_jobs(logs: Sequence[Path], output: Path, options: ReplayOptions, *, one
     ]
 
 
+def plan_both_sides(
+    logs: Sequence[Path], output: Path, options: ReplayOptions, changed: Config, *, one_dive: bool = False
+) -> tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]:
+    """Plan the replays before and after a change of settings, each side in its folder below the output."""
+    old, new = output / "before", output / "after"
+    after = replace(options, config=changed)
+    return (
+        (old, plan_jobs(logs, old, options, one_dive=one_dive)),
+        (new, plan_jobs(logs, new, after, one_dive=one_dive)),
+    )
+
+
 def known_reports(
     jobs: Sequence[ReplayJob], *, force: bool, rerun: bool = False, report_note: Callable[[Note], None] = lambda _: None
 ) -> dict[Path, Report]:

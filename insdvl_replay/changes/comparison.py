@@ -355,16 +355,21 @@ def parse_percentage(text: str, option: str) -> float:
     return float(match[1])
 
 
-def harmed(comparison: Comparison) -> str:
-    """Return the sentences of the filters whose answer is worse or partly worse; empty if there are none."""
-    return " ".join(answer.sentence for answer in comparison.answers if answer.is_harm)
+def parse_limit(text: str | None) -> float | str | None:
+    """Read the value of ``--fail-on``: a percentage, or the word worse."""
+    return text if text in (None, WORSE) else parse_percentage(str(text), "--fail-on")
 
 
-def find_violation(comparison: Comparison, above_pct: float) -> str:
-    """Return a sentence on values that are worse by more than allowed, in percent or points; empty if there are none.
+def find_violation(comparison: Comparison, limit: float | str | None) -> str:
+    """Return what is worse than allowed; empty if nothing is.
 
-    A worse verdict, a number that was lost or grew from zero, and a missing row or dive exceed every limit.
+    For ``worse`` these are the sentences of the filters whose answer is worse or partly worse. For a number they are
+    the values that are worse by more, in percent or points. A worse verdict, a number that was lost or grew from zero,
+    and a missing row or dive exceed every number.
     """
+    if not isinstance(limit, float):
+        return " ".join(answer.sentence for answer in comparison.answers if answer.is_harm and limit)
+    above_pct = limit
     changes = [change for change in comparison.changes if not within(loss_of(change), above_pct, 100.0 * ROUNDING)]
     reasons = []
     if worst := _most(changes, 1.0):
@@ -402,8 +407,11 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
     )
 
 
-def brief_document(comparison: Comparison, *, everything: bool = False) -> list[Part]:
-    """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence."""
+def brief_document(comparison: Comparison, *, everything: bool = False, command: str = "") -> list[Part]:
+    """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence.
+
+    The command is the one that shows all values, if it is not the one that was typed.
+    """
     several, one_sided = len(comparison.matched) > 1, _one_sided(comparison)
     comparison = replace(comparison, changes=tuple(cell for cell in comparison.changes if cell.verdict not in _SIDES))
     tables = list(answer_table(comparison.answers, everything=everything) if several else _evidence_of_dive(comparison))
@@ -412,7 +420,7 @@ def brief_document(comparison: Comparison, *, everything: bool = False) -> list[
     elsewhere = [f"{name} {counts.moved}" for name, counts in comparison.by_table.items() if counts.moved]
     found = f"changed values by table: {', '.join(elsewhere)}" if elsewhere else "no value changed"
     same = counted(comparison.total.counts[ChangeVerdict.SAME], "value")
-    last = f"{found}; {same} the same. All values: --all. One table: --table NAME"
+    last = f"{found}; {same} the same. All values: {command}--all. One table: {command and '... '}--table NAME"
     closing = Sentences((*one_sided, last))
     return _document(comparison, _changed_verdicts(comparison), tables, _MOST_DIFFERENCES, [closing])
 

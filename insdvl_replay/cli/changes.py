@@ -1,14 +1,22 @@
 """``insdvl-replay compare`` and ``check``: changes between results. Slow imports wait until they are needed."""
 
+import shlex
+from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
-from insdvl_replay.core.errors import ConfigError, error_context, looked_for
+from insdvl_replay.core.errors import ConfigError, LimitError, error_context, looked_for, visible
+
+if TYPE_CHECKING:
+    from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.changes.comparison import Comparison
+    from insdvl_replay.core.config import Config
+    from insdvl_replay.core.result import Part
 
 GATE_FAILED = 1
 
@@ -37,13 +45,7 @@ def compare(
         bool, typer.Option("--only-changed", help="Show all values that changed, not only the evidence.")
     ] = False,
     everything: Annotated[bool, typer.Option("--all", help="Show all values, also unchanged ones.")] = False,
-    fail_on: Annotated[
-        str | None,
-        typer.Option(
-            metavar="worse|P%",
-            help="Exit with 1 if the answer for a filter is worse, or if any value is worse by more than P%.",
-        ),
-    ] = None,
+    fail_on: opt.FailOn = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     verbose: opt.Verbose = 0,
     quiet: opt.Quiet = False,
@@ -63,30 +65,80 @@ def compare(
       insdvl-replay compare before after --table reference_error --column rmse --fail-on 5%
     """
     from insdvl_replay.changes import comparison as changes
-    from insdvl_replay.changes.answer import answer_lines
     from insdvl_replay.changes.matching import parse_pairs
-    from insdvl_replay.cli.screen import written
-    from insdvl_replay.core.errors import LimitError, visible
 
-    on_answer = fail_on == changes.WORSE
-    limit_pct = changes.parse_percentage(fail_on, "--fail-on") if fail_on and not on_answer else None
+    limit = changes.parse_limit(fail_on)
     tolerance_pct = changes.parse_percentage(tolerance, "--tolerance") if tolerance else None
     selection = changes.Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
     found = changes.compare_results(old, new, selection)
     moved = changes.only_changed(found)
     chosen = everything or only_changed or tables or columns or dives or format_ == "latex"
+    shown = found if everything else moved
+    brief = changes.brief_document(shown, everything=verbose > 0)
+    document = changes.comparison_document(shown) if chosen else brief
+    _print_comparison(moved if only_changed else found, document, format_, verbose, quiet=quiet)
+    if worse := changes.find_violation(found, limit):
+        raise LimitError(worse)
+
+
+def _print_comparison(
+    found: "Comparison", document: "Sequence[Part]", format_: str, verbose: int, *, quiet: bool
+) -> None:
+    from insdvl_replay.changes.answer import answer_lines
+    from insdvl_replay.changes.comparison import comparison_result
+    from insdvl_replay.cli.screen import written
+
     if quiet and format_ == "table":
         write_stdout("".join(f"{visible(line.text)}\n" for line in answer_lines(found.answers)))
     else:
-        shown = found if everything else moved
-        brief = changes.brief_document(shown, everything=verbose > 0)
-        document = changes.comparison_document(shown) if chosen else brief
-        write_stdout(written(changes.comparison_result(moved if only_changed else found, document), format_))
+        write_stdout(written(comparison_result(found, document), format_))
     log_notes(found.notes, verbose=verbose > 0)
-    if limit_pct is not None and (worse := changes.find_violation(found, limit_pct)):
-        raise LimitError(worse)
-    if on_answer and (worse := changes.harmed(found)):
-        raise LimitError(worse)
+
+
+def answer_against(
+    dives: "Sequence[Path]",
+    output: Path,
+    options: "ReplayOptions",
+    changed: "Config",
+    fail_on: str | None,
+    format_: str,
+    verbose: int,
+    *,
+    one_dive: bool,
+    jobs: int,
+    scheduler: str | None,
+    rerun: bool,
+    force: bool,
+    quiet: bool,
+) -> int:
+    """Replay dives with the settings and with changed ones, and print the comparison as `compare` does."""
+    from insdvl_replay.batch.jobs import plan_both_sides
+    from insdvl_replay.changes import comparison as changes
+    from insdvl_replay.cli.run import outcomes
+
+    limit = changes.parse_limit(fail_on)
+    (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, output, options, changed, one_dive=one_dive)
+    failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
+    done = list[str]()
+    for outcome in outcomes([*old_jobs, *new_jobs], jobs, scheduler, force=force, rerun=rerun):
+        report = outcome.result
+        if not isinstance(report, Exception):
+            done.append(report.log.name)
+            if outcome.job in old_jobs and not quiet:
+                log_notes(report.notes, verbose=verbose > 0)
+        elif str(report) not in failures:
+            failures[str(report)] = log_failure(report, verbose)
+    if not (both := tuple(name for name in dict.fromkeys(done) if done.count(name) > 1)):
+        return max(failures.values())
+    found = changes.compare_results(old, new, changes.Selection(logs=both))
+    command = f"{shlex.join(['insdvl-replay', 'compare', str(old), str(new)])} "
+    shown = changes.only_changed(found)
+    brief = changes.brief_document(shown, everything=verbose > 0, command=command)
+    document = changes.comparison_document(shown) if format_ == "latex" else brief
+    _print_comparison(found, document, format_, verbose, quiet=quiet)
+    if worse := changes.find_violation(found, limit):
+        failures[worse] = log_failure(LimitError(worse), verbose)
+    return max(failures.values(), default=0)
 
 
 def check(

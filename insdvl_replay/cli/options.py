@@ -102,6 +102,14 @@ Scheduler = Annotated[
     str | None,
     typer.Option("--scheduler", metavar="ADDR", help="Replay on the dask.distributed cluster at this address."),
 ]
+FailOn = Annotated[
+    str | None,
+    typer.Option(
+        "--fail-on",
+        metavar="worse|P%",
+        help="Exit with 1 if the answer for a filter is worse, or if any value is worse by more than P%.",
+    ),
+]
 Rerun = Annotated[bool, typer.Option("--rerun", help="Replay all dives, also those whose result is up to date.")]
 Verbose = Annotated[
     int,
@@ -143,9 +151,10 @@ ChosenTables = Annotated[
 ]
 
 
-def span_settings(start: float | None, end: float | None) -> list[str]:
-    """Return ``--start`` and ``--end`` as settings."""
-    return [f"span.{key}={value!r}" for key, value in (("start_s", start), ("end_s", end)) if value is not None]
+def span_settings(start: float | None, end: float | None, starts: int | None = None) -> list[str]:
+    """Return ``--start``, ``--end`` and ``--starts`` as settings."""
+    given = {"span.start_s": start, "span.end_s": end, "evaluation.starts": starts}
+    return [f"{key}={value!r}" for key, value in given.items() if value is not None]
 
 
 def outage_spans(texts: list[str]) -> list[tuple[float, float]]:

@@ -2,9 +2,10 @@
 
 import os
 import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,6 +16,7 @@ from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
+    from insdvl_replay.core.config import Config
     from insdvl_replay.core.errors import Note
     from insdvl_replay.core.result import Report
     from insdvl_replay.show.dives import Failure
@@ -61,6 +63,15 @@ def run(
     history: Annotated[
         Literal["csv", "parquet"] | None, typer.Option("--history", help="Also write the full history of each filter.")
     ] = None,
+    against: Annotated[
+        list[str],
+        typer.Option(
+            "--against",
+            metavar="KEY=VALUE",
+            help="Also replay with this setting, and say whether it helped. Several of them are one change.",
+        ),
+    ] = [],
+    fail_on: opt.FailOn = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")] = False,
     jobs: opt.Jobs = 1,
     scheduler: opt.Scheduler = None,
@@ -84,6 +95,9 @@ def run(
     geometry are tried and calibrated. stderr says what was found or assumed. vehicle.toml in the result holds these
     settings for -c.
 
+    --against KEY=VALUE replays each dive twice, without and with the setting, into the folders before and after. It
+    prints for each filter whether the setting helped, as `compare` does.
+
     \b
     Example:
       insdvl-replay run dive.mcap
@@ -94,6 +108,7 @@ def run(
       insdvl-replay run dives/*.mcap --table pooled --table summary --format latex > tables.tex
       insdvl-replay run dive.mcap --tum --kml --geojson
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
+      insdvl-replay run dives/*.mcap -c vehicle.toml --against dvl.velocity_sd_mps=0.006
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
@@ -118,17 +133,25 @@ def run(
 
         require_parquet()
     require_tables(tables)
-    drawn = [] if starts is None else [f"evaluation.starts={starts}"]
-    given = [*settings, *opt.span_settings(start, end), *drawn]
-    is_free = auto and not (control or preset or config or scheduler or sets_roles(settings))
+    given = [*settings, *opt.span_settings(start, end, starts)]
+    load = partial(load_config, preset, config, given, allow_code=allow_code)
+    is_free = auto and not (control or preset or config or scheduler or against or sets_roles(settings))
     options = ReplayOptions(
-        load_config(preset, config, given, allow_code=allow_code, report=log_info),
+        load(report=log_info),
         allow_damaged=allow_damaged,
         control=control,
-        tracks=tuple(name for name, is_wanted in (("tum", tum), ("kml", kml), ("geojson", geojson)) if is_wanted),
+        tracks=("tum",) * tum + ("kml",) * kml + ("geojson",) * geojson,
         history_format=history or "",
         require_fit=is_free,
     )
+    changed = _changed_settings(load, options.config, against, fail_on, tables, strict=strict)
+    if changed is not None:
+        from insdvl_replay.cli.changes import answer_against
+
+        return answer_against(
+            find_dives(logs), output, options, changed, fail_on, format_, verbose, one_dive=one_dive, jobs=jobs,
+            scheduler=scheduler, rerun=rerun, force=force, quiet=quiet,
+        )  # fmt: skip
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
@@ -171,13 +194,7 @@ def run(
             write_stdout(shown(report, target))
         if talks:
             log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
-        codes[name] = 0
-        warnings = [note.code for note in report.notes if note.severity == "warning"]
-        if strict and warnings:
-            found = f"{name}: --strict allows no warnings, found {', '.join(warnings)}"
-            codes[name] = log_failure(
-                LogError(found, "the result was written; leave --strict out to accept it"), verbose
-            )
+        codes[name] = _strict_code(name, report, verbose) if strict else 0
     if brief:
         write_stdout("".join(f"{visible(line)}\n" for line in quiet_lines(reports)))
     elif tables:
@@ -198,10 +215,43 @@ def run(
         done = [report for report in reports if isinstance(report, Report)]
         write_stdout(written(replay_result(done, last), format_))
     if failed := [name for name, code in codes.items() if code]:
-        reasons = [report.reason for report in reports if isinstance(report, Failure)]
-        first = f"; the first: {reasons[0]}" if reasons else ""
+        first = next((f"; the first: {report.reason}" for report in reports if isinstance(report, Failure)), "")
         log_to_stderr(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")
     return max(codes.values())
+
+
+def _strict_code(name: str, report: "Report", verbose: int) -> int:
+    """Return the exit code of a dive that may have no warnings."""
+    from insdvl_replay.cli.messages import log_failure
+
+    warnings = [note.code for note in report.notes if note.severity == "warning"]
+    if not warnings:
+        return 0
+    found = f"{name}: --strict allows no warnings, found {', '.join(warnings)}"
+    return log_failure(LogError(found, "the result was written; leave --strict out to accept it"), verbose)
+
+
+def _changed_settings(
+    load: "Callable[..., Config]",
+    config: "Config",
+    against: list[str],
+    fail_on: str | None,
+    tables: list[str],
+    *,
+    strict: bool,
+) -> "Config | None":
+    """Return the settings changed by ``--against``; None if there is no change to try."""
+    if not against:
+        if fail_on is not None:
+            raise ConfigError("--fail-on: works with --against only", "`insdvl-replay compare OLD NEW --fail-on worse`")
+        return None
+    changed = load(against=against)
+    if changed == config:
+        raise ConfigError(f"--against {against[-1]}: is the setting already", "give another value")
+    if tables or strict:
+        option = "--table" if tables else "--strict"
+        raise ConfigError(f"--against: does not work with {option}", "use `insdvl-replay compare` afterwards")
+    return changed
 
 
 def _tables_of_all(reports: "Sequence[Report | Failure]", tables: list[str], format_: str, *, at_the_end: bool) -> str:

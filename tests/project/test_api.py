@@ -58,6 +58,16 @@ def test_propose_and_calibrate_find_settings(tmp_path: Path) -> None:
     assert arm[0] == pytest.approx(0.5, abs=0.05)
 
 
+def test_settings_are_compared(tmp_path: Path) -> None:
+    after = load_config(settings={"evaluation.starts": 1, "dvl.scale": 1.05})
+    found = insdvl_replay.compare_settings(ARCHIVE / "dives" / "transit.mcap", FAST, after, tmp_path / "out")
+    is_whole(found, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared")
+    scale = found.tables["difference"].query("key == 'dvl.scale'")
+    assert scale[["old", "new"]].to_numpy().tolist() == [["1.0", "1.05"]]
+    with pytest.raises(UserError, match=r"transit: .*dvl\.scale 1\.0 -> 1\.05\n"):
+        insdvl_replay.compare_settings(ARCHIVE / "dives" / "transit.mcap", after, FAST, tmp_path / "out")
+
+
 def test_compare_and_check(folder: Path, tmp_path: Path) -> None:
     changed = insdvl_replay.compare(folder / "transit", folder / "transit")
     is_whole(changed, {"answer", "difference", "dive", "aggregate", "change"}, tmp_path / "compared")
