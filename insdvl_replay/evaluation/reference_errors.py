@@ -280,6 +280,7 @@ def reference_error_table(
 ) -> list[ReferenceErrorRow]:
     """Return the candidates' errors next to the baseline's, 9 rows a candidate; final errors keep their sign.
 
+    A baseline without candidates has its own errors, next to none.
     The errors, by filter, are empty without a reference. With the status ``partly covered`` or ``lost in gap`` the
     numbers are given, but are not evidence. Next to a partial candidate the baseline's numbers are of the same
     instants.
@@ -287,7 +288,7 @@ def reference_error_table(
     baseline, *candidates = histories
     start_ns, end_ns, rows = int(baseline.time_ns[0]), int(baseline.time_ns[-1]), []
     shown = {name: _shown(found, found.distance_m) for name, found in errors.items()}
-    for candidate in candidates:
+    for candidate in candidates or [baseline]:
         after, before = shown.get(candidate.filter, {}), shown.get(baseline.filter, {})
         compared = before
         if candidate.is_partial and errors:
@@ -298,6 +299,8 @@ def reference_error_table(
             known = np.isfinite(compared.get(quantity, NO_ERRORS))
             before_rmse, before_final = _rms_and_final(compared.get(quantity, NO_ERRORS))
             rmse, final = _rms_and_final(after.get(quantity, NO_ERRORS))
+            if candidate is baseline:
+                before_rmse = before_final = np.nan
             if not errors:
                 status = ReferenceStatus.NO_REFERENCE
             elif known.any() and bridged_gaps and quantity in DEAD_RECKONED:

@@ -98,6 +98,8 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
             if own := of_filter(name, kept) if is_apart else kept:
                 footnote = _footnote(report, layout.name, name, own)
                 found[layout.name, name] = shown(layout.row, own, footnote, filter=name, baseline=report.baseline)
+                if layout.name == "reference_error" and name == report.baseline:
+                    found[layout.name, name] = table_of(f"Reference error of {name}", own, _ERRORS_ALONE, footnote)
         if layout.name == "consistency" and (axes := [row for row in report.tables.consistency if row.whiteness]):
             found["innovations", ""] = table_of(
                 "Innovations by axis: size, and correlation of each with the one before", axes, _INNOVATIONS
@@ -112,6 +114,12 @@ _SHOWN_ROWS: Final[Mapping[str, Callable[[Any], object]]] = {
     "credibility": lambda row: row.samples,
     "consistency": lambda row: is_whole(row.measurement),
 }
+_ERRORS_ALONE: Final[tuple[ShownColumn, ...]] = (
+    ("", "l", "quantity:label"),
+    ("", "l", "unit"),
+    ("rms", "r", "rmse:value"),
+    ("final", "r", "final:value"),
+)
 _INNOVATIONS: Final[tuple[ShownColumn, ...]] = (
     ("filter", "l", "filter"),
     ("measurement", "l", "measurement:words"),

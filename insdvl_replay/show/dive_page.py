@@ -28,6 +28,7 @@ from insdvl_replay.core.result import (
 )
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.verdicts import SHARED, trust_sentence
+from insdvl_replay.show.alone import line_alone
 from insdvl_replay.show.answers import TONES, answer_on_dive, has_reference
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
@@ -61,14 +62,15 @@ def dive_document(
         return [table for (name, _), table in found.items() if name in names]
 
     by_candidate, outage, references = named("evidence"), named("outage"), named("drift", "track_fit", "jumps")
-    gains = ("improvement", "convergence", "reference_error")
-    tables = [found[kind, name] for name in report.filters for kind in gains if (kind, name) in found]
+    gains, names = ("improvement", "convergence", "reference_error"), [*report.filters] or [report.baseline]
+    tables = [found[kind, name] for name in names for kind in gains if (kind, name) in found]
     tables += named("consistency", "innovations", "credibility")
     verdicts = (Callout(candidate.sentence, TONES.get(candidate.verdict, "")) for candidate in report.filters.values())
     headline = list(headline_table(report, "This run: position error and drift without DVL", SPECIFIED))
     return [
         Only(PRINTED, (Title(heading(report)), *verdicts, *headline)),
         Only(PAGE, (Title(replayed(report)), *_first_screen(report, panels, headline), *by_candidate)),
+        *([] if report.filters else [line_alone(report)]),
         *track_fit_line(report),
         *([] if has_reference(report) else [NO_REFERENCE]),
         Only(PRINTED, (*by_candidate, *outage)),

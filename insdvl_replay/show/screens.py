@@ -12,6 +12,7 @@ from insdvl_replay.core.words import GateStatus, Severity, Verdict
 from insdvl_replay.evaluation.answers import EVERY_DIVE, FEWEST_SHOWN, NOTABLE_PCT, Piece, may_decide, reason_in_words
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import consistency_of, trust_sentence
+from insdvl_replay.show.alone import line_alone, table_alone
 from insdvl_replay.show.answers import (
     TONES,
     AnyCandidate,
@@ -41,8 +42,8 @@ from insdvl_replay.show.document import MISSING, ShownColumn, decimal, percent, 
 
 
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
-    """Return one line for each candidate, over all dives."""
-    lines = []
+    """Return one line for each candidate, over all dives; of a filter alone one for each dive."""
+    lines = [f"{report.log.name}, {line_alone(report)}" for report in reports_of(outcomes) if not report.filters]
     for answer in answers_of(reports_of(outcomes)):
         start = f"{answer.filter} {shouted(answer.verdict)}"
         if answer.verdict == Verdict.NOT_EVALUATED:
@@ -177,6 +178,7 @@ def dive_screen(report: Report, page: str) -> list[Part]:
     return [
         Title(_facts(report)),
         *_answer_parts(answers),
+        *([] if report.filters else [line_alone(report)]),
         *_evidence_table(answers, "evidence", "on this dive", starts),
         *_trust_lines(report),
         *headline_table(report),
@@ -240,7 +242,7 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
         *_answer_parts(answers),
         *(part for table in _evidence_table(pooled, "all dives", "over dives") for part in (Sentences(()), table)),
         Sentences(()),
-        _dives_table(outcomes, {answer.filter: answer for answer in pooled}),
+        _dives_table(outcomes, {answer.filter: answer for answer in pooled}) if answers else table_alone(outcomes),
         *([f"dive by dive, by all evidence: {counts}"] if counts else []),
         *_consistency_counts(reports),
         Code(f"all tables: -v   page: {index}", ""),

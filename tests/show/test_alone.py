@@ -1,0 +1,49 @@
+"""One filter without candidates has its errors, drift and consistency on every screen, page and table."""
+
+import pytest
+
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.result import Report
+from insdvl_replay.replay import replay_dive
+from insdvl_replay.results.result_files import report_of
+from insdvl_replay.show.dive import replay_result
+from insdvl_replay.show.dive_page import dive_document
+from insdvl_replay.show.dives import Failure
+from insdvl_replay.show.render import render
+from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
+from insdvl_replay.sim.dive import simulate_dive
+
+NAMES = ("position rms", "depth rms", "velocity rms", "drift in 60 s", "60 s without DVL", "NIS / dof")
+
+
+@pytest.fixture(scope="module")
+def reports() -> tuple[Report, Report]:
+    """The same dive with one filter, and with a candidate next to it."""
+    dive = simulate_dive("figure-eight", seed=1, duration_s=260.0)
+    alone, pair = ([*left_out, "evaluation.starts=1"] for left_out in (["filters.aided=false"], []))
+    return tuple(report_of(replay_dive(dive, load_config(overrides=given))) for given in (alone, pair))  # type: ignore[return-value]
+
+
+def test_the_errors_are_those_of_the_baseline_next_to_a_candidate(reports: tuple[Report, Report]) -> None:
+    alone, pair = (report.tables.reference_error for report in reports)
+    assert [(row.filter, row.quantity, row.rmse, row.final, row.status) for row in alone] == [
+        ("baseline", row.quantity, row.baseline_rmse, row.baseline_final, row.status) for row in pair
+    ]
+    assert {(row.baseline_rmse, row.improvement_pct) for row in alone} == {(None, None)}
+
+
+def test_every_screen_and_page_has_them(reports: tuple[Report, Report]) -> None:
+    report = reports[0]
+    (line,) = quiet_lines([report])
+    documents = (dive_screen(report, "page"), dive_document(report))
+    shown = [render(replay_result(report, parts, []), format_) for parts in documents for format_ in ("md", "html")]
+    for text in (line, *shown):
+        assert all(name in text for name in NAMES)
+        assert "Reference error: baseline against" not in text
+
+
+def test_several_dives_have_a_row_each(reports: tuple[Report, Report]) -> None:
+    parts = dives_screen([reports[0], Failure("lost", "no log")], "index.html")
+    text = render(replay_result([reports[0]], parts, []), "md")
+    assert all(name in text for name in NAMES[:3])
+    assert "failed" in next(line for line in text.splitlines() if "lost" in line)
