@@ -37,7 +37,7 @@ def test_it_prints_what_compare_prints(dives: Path, results: Path, capsys: pytes
     sides = str(results / "before"), str(results / "after")
     assert against(dives, results, "--against", "dvl.scale=1.1") == 0
     first, *lines = capsys.readouterr().out.splitlines()
-    assert first == f"dvl.scale 1.0 -> 1.1: 3 dives, {sides[1]} against {sides[0]}"
+    assert first.startswith("dvl.scale 1.0 -> 1.1: 3 dives, ")
     assert [line.split()[0] for line in lines[:2]] == ["baseline", "aided"]
     for options in (["-q"], ["--format", "json"], ["--format", "csv"]):
         assert against(dives, results, "--against", "dvl.scale=1.1", *options) == 0
