@@ -70,6 +70,8 @@ from insdvl_replay.results.folder import VEHICLE_FILE
 
 MOST_DIVES: Final = 5  # dives from which the settings are found
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
+SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
+LARGEST_APART: Final = 0.05  # share by which their scales may differ
 MOST_ROUNDS: Final = 4  # in which it is changed
 WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
 SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
@@ -112,7 +114,10 @@ def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool
     config = _with_latitude(_with_roles(readings, config, notes), readings.reference, notes)
     del readings
     report_stage("reading the log")
-    read = [read_checked_dive(paths, config, allow_damaged=allow_damaged) for paths in dives]
+    read = [read_checked_dive(dives[0], config, allow_damaged=allow_damaged)]
+    for paths in dives[1:]:
+        with suppress(UserError):  # its own replay reports it
+            read.append(read_checked_dive(paths, config, allow_damaged=allow_damaged))
     config = _with_start(read[0], config)
     preset, settings = imu_class(read[0].imu, config.initial)
     config = with_settings(preset_config(preset, config), settings)
@@ -121,7 +126,7 @@ def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool
     read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, notes)
     config = _levelled(read[0], config, started, preset, notes)
-    if len(dives) > 1:
+    if len(read) > 1:
         names = listed([dive.name for dive in read])
         notes.append(_note("found_dives", f"settings of one vehicle, found from {len(read)} dives together: {names}"))
     return FoundSettings(config, tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)))
@@ -340,15 +345,12 @@ def _role_notes(
     if settings.specific_force_scale != 1.0:
         parts.append(f"accelerometers read {settings.specific_force_scale:.3g} times gravity")
         warn = True
-    yield _note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn)
     for other in imus:
-        if other is imu:
-            continue
-        ratio, correlation = rates_compared(imu.columns, other.columns)
-        own = other.settings.angular_rate_scale / imu.settings.angular_rate_scale
-        if correlation > 0.9 and not 0.95 < ratio * own / best.rate_scale < 1.05:
-            text = f"the gyros of {other.topic} read {ratio * own / best.rate_scale:.3g} times those of {imu.topic}"
-            yield _note("found_imus_differ", text)
+        ratio, correlation = (1.0, 0.0) if other is imu else rates_compared(imu.columns, other.columns)
+        ratio *= other.settings.angular_rate_scale / settings.angular_rate_scale
+        if correlation > SAME_MOTION and abs(ratio - 1.0) > LARGEST_APART:
+            parts.append(f"the gyros of {other.topic} read {ratio:.3g} times as much")
+    yield _note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn)
     rivals = [one for one in trials.close if one.rpy_deg != best.rpy_deg]
     apart = {one.rpy_deg for one in rivals if one.axes == best.axes and one.force_axes == best.force_axes}
     text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
@@ -498,6 +500,12 @@ def _levelled(dive: Dive, config: Config, started: Initial, preset: str, notes: 
             break
         sd_mps, size = tried_mps, size_with(tried_mps)
     text = f"noise of preset {preset}, the class of this IMU"
+    usual = preset_config(preset, config).noise
+    fitted = [name for name in usual.__struct_fields__ if getattr(usual, name) != getattr(config.noise, name)]
+    if fitted:
+        text += (
+            f"; fitted to the innovations: {', '.join(f'{name} {getattr(config.noise, name):.3g}' for name in fitted)}"
+        )
     if sd_mps != before:
         text += f"; {key} {before:.3g} -> {sd_mps:.3g}, since NIS/dof was {first:.2g}"
     is_fitting = LEAST_NIS < size < MOST_NIS
