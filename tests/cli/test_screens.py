@@ -283,8 +283,8 @@ def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
     dives = [replace(dive, filters={}, tables=replace(dive.tables, evidence=[])) for dive in made]
     lines = screen_lines(rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html"))))
     assert [line.split() for line in lines if line.startswith(("dive 1", "gone"))] == [
-        ["dive", "1", "-"],
-        ["gone", "failed"],
+        ["dive", "1", "1.5", "-", "-", "0.3", "-", "1"],
+        ["gone", "failed", *"-----"],
     ]
     assert index_page(dives).count(b"report.html") == 2
     assert [row.log for row in summary_rows(dives)] == ["dive 0", "dive 1"]
