@@ -310,11 +310,16 @@ def outcomes_without_settings(
         options = replace(dives[0].options, require_fit=False, **changes)  # type: ignore[arg-type]
         return [replace(dive, options=options) for dive in dives]
 
-    if (stored := stored_settings(dives[0].target, dives[0].options.config)) is not None:
-        same = with_options(dives, config=stored)
-        if known_reports(same[:1], force=True):
-            yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
-            return
+    stored = [stored_settings(dive.target, dive.options.config) for dive in dives]
+    known = [
+        config is not None and bool(known_reports(with_options([dive], config=config), force=True))
+        for dive, config in zip(dives, stored, strict=True)
+    ]
+    if stored[0] is not None and known[0] and all(config == stored[0] for config in stored):
+        yield from outcomes_as_planned(with_options(dives, config=stored[0]), jobs, None, force=force, rerun=rerun)
+        return
+    # Settings that were found for other dives than these are found again, and replace those.
+    force = force or all(is_own or not dive.target.exists() for dive, is_own in zip(dives, known, strict=True))
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
     # No settings help where the result cannot be written.
     if not isinstance(first.result, UserError) or str(first.result).startswith(str(first.job.target)):

@@ -432,6 +432,10 @@ def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Con
         before, after = _mean_nis(found)
         answer = replace(answer, keeps_geometry=bool(found.estimated) and after > before)
     better = answer.applied(found)
+    if found.estimated and not answer.keeps_geometry:
+        # What was held out has shown that it helps; all together know it best.
+        whole = calibrate_dives(read, config, ALL_GROUPS).found
+        better = answer_of(whole).applied(whole)
     changes = [
         f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}" for row in better.estimated if row.change is not None
     ]
@@ -439,8 +443,7 @@ def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Con
     if answer.keeps_geometry:
         notes.append(_note("found_calibration", f"calibration of the DVL not applied: {tested}", warn=True))
     elif changes:
-        text = "calibrated on the first half: " if len(dives) == 1 else "calibrated: "
-        notes.append(_note("found_calibration", f"{text}{', '.join(changes)}; {tested}"))
+        notes.append(_note("found_calibration", f"calibrated: {', '.join(changes)}; {tested}"))
         config = with_dvl(config, better.after.rounded())
     else:
         text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
