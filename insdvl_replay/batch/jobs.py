@@ -290,8 +290,11 @@ def replay_into(job: ReplayJob) -> bytes:
         )
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
-        if options.vehicle:
-            (folder / VEHICLE_FILE).write_text(options.vehicle, "utf-8")
+        vehicle = options.vehicle.encode()
+        if not vehicle and (job.target / VEHICLE_FILE).is_file():  # a person may have changed it, and given it with -c
+            vehicle = read_file(job.target / VEHICLE_FILE)
+        if vehicle:
+            (folder / VEHICLE_FILE).write_bytes(vehicle)
         if options.tracks:
             from insdvl_replay.results.tracks import save_tracks
 

@@ -1,6 +1,7 @@
 """``insdvl-replay run``. Slow imports wait until there is work to do."""
 
 import os
+import shlex
 import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -315,7 +316,7 @@ def outcomes_without_settings(
         config is not None and bool(known_reports(with_options([dive], config=config), force=True))
         for dive, config in zip(dives, stored, strict=True)
     ]
-    if stored[0] is not None and known[0] and all(config == stored[0] for config in stored):
+    if not rerun and stored[0] is not None and known[0] and all(config == stored[0] for config in stored):
         yield from outcomes_as_planned(with_options(dives, config=stored[0]), jobs, None, force=force, rerun=rerun)
         return
     # Settings that were found for other dives than these are found again, and replace those.
@@ -356,7 +357,7 @@ def log_findings(notes: "Sequence[Note]", target: Path, *, shows: bool) -> None:
     for note in findings:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
     if findings:
-        log_to_stderr(f"to repeat it: -c {target / 'vehicle.toml'}")
+        log_to_stderr(f"to repeat it: -c {shlex.quote(str(target / 'vehicle.toml'))}")
 
 
 def outcomes(

@@ -27,7 +27,7 @@ from insdvl_replay.core.errors import LogError, Note, UserError, listed
 from insdvl_replay.core.runtime import report_stage, track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.notes import beyond_the_sensor
+from insdvl_replay.evaluation.notes import beyond_the_sensor, sensor_class
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
@@ -40,6 +40,7 @@ from insdvl_replay.inspection.proposal import (
     with_settings,
 )
 from insdvl_replay.inspection.trial_runs import (
+    GRADES,
     UNKNOWN_LATITUDE_DEG,
     changed_keys,
     filter_settings,
@@ -122,7 +123,9 @@ def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool
     preset, settings = imu_class(read[0].imu, config.initial)
     config = with_settings(preset_config(preset, config), settings)
     read_with_s = config.dvl.latency_s
-    config = _calibrated([with_reference_at_imu(dive, config) for dive in read], config, notes)
+    at_imu = [with_reference_at_imu(dive, config) for dive in read]
+    config = _calibrated(at_imu, config, notes)
+    config, preset = _with_fitted_class(at_imu, config, preset)
     read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, notes)
     config = _levelled(read[0], config, started, preset, notes)
@@ -452,10 +455,40 @@ def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Con
         # A noise belongs to the geometry with which it was fitted.
         found = calibrate_dives(_parts(read), config, [NOISE], hold_out=["0.3"]).found
         better = answer_of(found).applied(found)
-    noise = {row.parameter: row.after for row in better.noise_rows if row.is_proposed}
-    for key, value in noise.items():
-        config = _set(config, "dvl" if key in ("velocity_sd_mps", "beam_sd_mps") else "noise", **{key: value})
+    return _with_noise(config, better)
+
+
+def _with_noise(config: Config, found: Calibration) -> Config:
+    for row in found.noise_rows:
+        if row.is_proposed:
+            section = "dvl" if row.parameter in ("velocity_sd_mps", "beam_sd_mps") else "noise"
+            config = _set(config, section, **{row.parameter: row.after})
     return config
+
+
+def _with_fitted_class(dives: Sequence[Dive], config: Config, preset: str) -> tuple[Config, str]:
+    """Take the biases of the class that fitted white noise belongs to, where it is better than that of the scatter.
+
+    Coarse steps of the readings, and the vehicle's motion, scatter more than a good sensor.
+    """
+    usual = preset_config(preset, config).noise
+    fitted = {key: getattr(config.noise, key) for key in ("accel_white_mps_rts", "gyro_white_rad_rts")}
+    if any(value == getattr(usual, key) for key, value in fitted.items()):
+        return config, preset
+    classes = [sensor_class(key, value) or preset for key, value in fitted.items()]
+    better = max(classes, key=GRADES.index)
+    if GRADES.index(better) >= GRADES.index(preset):
+        return config, preset
+    found = load_config(better)
+    config = msgspec.structs.replace(config, noise=msgspec.structs.replace(found.noise, **fitted))
+    config = _set(
+        config,
+        "initial",
+        accel_bias_sd_mg=found.initial.accel_bias_sd_mg,
+        gyro_bias_sd_degph=found.initial.gyro_bias_sd_degph,
+    )
+    again = calibrate_dives([ReadDive(dive, config) for dive in dives], config, [NOISE]).found
+    return _with_noise(config, answer_of(again).applied(again)), better
 
 
 def _parts(read: Sequence[ReadDive]) -> list[ReadDive]:

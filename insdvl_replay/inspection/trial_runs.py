@@ -43,7 +43,7 @@ from insdvl_replay.replay import replay_dive
 MOST_DIVES: Final = 5  # dives that are read to try a mounting on: more would say the same again
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 CERTAIN_SDS: Final = 5.0  # a scale that a track shows less surely is not worth a line
-_GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
+GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
 _NOISES: Final = {"accel_white_mps_rts": "m/s/sqrt(s)", "gyro_white_rad_rts": "rad/sqrt(s)"}
 _ARM_OPEN: Final = (
     "from IMU to DVL: forward, starboard, down; measure it, or estimate it with `insdvl-replay calibrate`"
@@ -189,13 +189,13 @@ def imu_class(imu: ImuColumns, initial: Initial) -> tuple[str, list[Setting]]:
     for (key, unit), readings in zip(_NOISES.items(), (imu.specific_force_b, imu.angular_rate_b), strict=True):
         scatter = readings_scatter(readings, imu.usual_step_s)
         name = sensor_class(key, scatter) if scatter > 0.0 else ""
-        classes.append(name or _GRADES[-1])
+        classes.append(name or GRADES[-1])
         shown = name or "no class"
         scatters.append(f"{CLASSES[key].name} scatter by {scatter:.2g} {unit} from sample to sample ({shown})")
-    preset = max(classes, key=_GRADES.index)
+    preset = max(classes, key=GRADES.index)
     config, default = load_config(preset), Initial()
     seen = f"preset {preset}: in a typical half second, {', '.join(scatters)}"
-    smooths = "an IMU that filters its readings has more noise than this" if preset != _GRADES[-1] else ""
+    smooths = "an IMU that filters its readings has more noise than this" if preset != GRADES[-1] else ""
     settings = [Setting(f"noise.{key}", value) for key, value in msgspec.structs.asdict(config.noise).items()]
     settings[0] = Setting(settings[0].key, settings[0].value, seen, smooths)
     for key in ("accel_bias_sd_mg", "gyro_bias_sd_degph"):

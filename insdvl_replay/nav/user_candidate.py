@@ -84,7 +84,7 @@ class CandidateStart(Start):
 
 
 class Candidate:
-    """A filter of yours; made without arguments, anew for each run.
+    """A filter of yours; made without arguments, a new one for each run.
 
     `insdvl_replay.run_as_program` makes a program of it.
     """

@@ -120,7 +120,10 @@ def _checked(solution: Solution) -> Solution:
     for name, shape in shapes.items():
         if (given := getattr(solution, name)) is None:
             continue
-        values = columns[name] = np.asarray(given, np.float64)
+        try:
+            values = columns[name] = np.asarray(given, np.float64)
+        except (TypeError, ValueError):
+            wrong(f"{name} that is not an array of numbers")
         count = len(solution.cov_ns) if name == "cov" and solution.cov_ns is not None else len(time_ns)
         if values.shape != (count, *shape):
             wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")

@@ -67,7 +67,8 @@ class Program:
         finally:
             texts = [f"--- {run}: {path.name}\n{text}" for path in outputs if (text := _tail(path))]
             self.printed[run] = "".join(texts)
-            solution_file.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                solution_file.unlink()
 
     def _run(self, words: list[str], stdout: Path, stderr: Path) -> None:
         with stdout.open("wb") as out, stderr.open("wb") as err:
@@ -75,8 +76,9 @@ class Program:
                 process = subprocess.Popen(
                     words, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True
                 )
-            except OSError as error:
-                raise CandidateError(f"cannot be started: {words[0]}: {error.strerror}") from error
+            except (OSError, ValueError) as error:
+                why = error.strerror if isinstance(error, OSError) else error
+                raise CandidateError(f"cannot be started: {visible(words[0])}: {why}") from error
             self._running.add(process)
             if self._is_stopped.is_set():
                 self.stop()
@@ -88,7 +90,8 @@ class Program:
             finally:
                 self._running.discard(process)
         if code < 0:
-            raise CandidateError(f"was ended by the signal {signal.Signals(-code).name}")
+            name = next((known.name for known in signal.Signals if known == -code), str(-code))
+            raise CandidateError(f"was ended by the signal {name}")
         if code:
             raise CandidateError(f"ended with exit code {code}")
 
@@ -107,7 +110,9 @@ def _kill(process: "subprocess.Popen[bytes]") -> None:
 
 
 def _tail(path: Path) -> str:
-    """Return the end of what was printed, with a final line break."""
+    """Return the end of what was printed, with a final line break; nothing where the program removed it."""
+    if not path.is_file():
+        return ""
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - LONGEST_OUTPUT))
         text = file.read().decode("utf-8", "replace")
@@ -134,13 +139,18 @@ def read_solution(path: Path) -> Solution:
     if not data.strip():
         raise CandidateError("wrote an empty solution")
     try:
-        table = pd.read_csv(io.BytesIO(data), dtype=dict.fromkeys(_COLUMNS[1:], "f8"))
-    except (ValueError, UnicodeDecodeError) as error:  # pandas' own errors are ValueErrors
-        raise CandidateError(f"wrote a solution that is not CSV of numbers: {visible(str(error))}") from error
+        table = pd.read_csv(io.BytesIO(data), dtype=dict.fromkeys(_COLUMNS[1:], "f8"), index_col=False)
+    except (ValueError, OverflowError) as error:  # pandas' own errors are ValueErrors
+        why = visible(str(error))[:LONGEST_LINE]
+        raise CandidateError(f"wrote a solution that is not CSV of numbers: {why}") from error
+    if table.empty:
+        raise CandidateError("wrote a solution without rows")
     unknown = next((name for name in map(str, table.columns) if name not in _COLUMNS), None)
     if unknown is not None:
         hint = hint_for(unknown, _COLUMNS, most=1)
-        raise CandidateError(f"wrote a solution with the column '{visible(unknown)}', which is not known ({hint})")
+        raise CandidateError(
+            f"wrote a solution with the column '{visible(unknown)[:LONGEST_LINE]}', which is not known ({hint})"
+        )
     if "time_ns" not in table:
         raise CandidateError("wrote a solution without the column time_ns")
     if not data.endswith(b"\n") and table.iloc[-1].isna().any():
@@ -179,7 +189,7 @@ def read_solution(path: Path) -> Solution:
             cov[:, rows, rows] = sd[:, :, None] ** 2 * np.eye(3)
     try:
         time_ns = table["time_ns"].to_numpy(np.int64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise CandidateError("wrote a solution with times that are not whole nanoseconds") from error
     if table["time_ns"].dtype.kind != "i":
         raise CandidateError("wrote a solution with times that are not whole nanoseconds")

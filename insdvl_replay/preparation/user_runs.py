@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stderr, redirect_stdout
+from copy import deepcopy
 from dataclasses import dataclass, fields, replace
 from io import StringIO
 from os import cpu_count
@@ -144,7 +145,8 @@ class _Candidate:
         if self.program is not None:
             return self.program.run(run, self.folder / f"{test.name}.mcap", given)
         with redirect_stdout(self._printed), redirect_stderr(self._printed):
-            return run_class(self.word, test.dive, given)
+            # A class may change the arrays that it is given.
+            return run_class(self.word, deepcopy(test.dive), given)
 
     def history(self, test: GivenDive, run: str, start: Start) -> tuple[History, tuple[Note, ...], str]:
         """Run it over a dive; return its history, notes, and a digest of its solution."""

@@ -221,7 +221,7 @@ def test_damage_is_refused_with_its_place_and_the_rest_is_saved(name: str, tmp_p
     assert_hint(refused.value, len(found))
 
 
-LOST = re.compile(r"(at least )?(\d+) messages of (/\w+) \((\d+\.\d+) s\)")
+LOST = re.compile(r"(at least )?(\d+) messages? of (/\w+) \((\d+\.\d+) s\)")
 
 
 def assert_loss_is_told(text: str, gone: set[Message]) -> None:
