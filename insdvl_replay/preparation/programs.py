@@ -163,7 +163,8 @@ def read_solution(path: Path) -> Solution:
         if names == POSITION and lacking == wanted[2:]:
             table[wanted[2]], lacking = np.nan, []
         if lacking and len(lacking) < len(wanted):
-            raise CandidateError(f"wrote a solution with {wanted[0]}, but without {' and '.join(lacking)}")
+            given = next(name for name in wanted if name in table)
+            raise CandidateError(f"wrote a solution with {given}, but without {' and '.join(lacking)}")
         return None if lacking else table[wanted].to_numpy(np.float64)
 
     position, rpy, innovation = group(POSITION), group(ATTITUDE), group(INNOVATION)

@@ -47,9 +47,12 @@ def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
     vehicle = str(first / "dive" / "vehicle.toml")
     assert run_command_line(["run", str(log), "-o", str(second), "-c", vehicle]) == 0
     assert json.loads((second / "dive" / "report.json").read_text())["tables"] == report["tables"]
-    # The stored settings are used again.
+    # The stored settings are used again, and found again if that is wanted.
     assert run_command_line(["run", str(log), "-o", str(first), "--starts", "1"]) == 0
     assert "unchanged" in capsys.readouterr().err
+    assert run_command_line(["run", str(log), "-o", str(first), "--starts", "1", "--rerun"]) == 0
+    assert "found: IMU" in capsys.readouterr().err
+    assert (first / "dive" / "vehicle.toml").is_file()
 
 
 def test_no_auto_stops(good: Dive, tmp_path: Path) -> None:

@@ -149,6 +149,14 @@ FAILURES = {
         "wrong times",
     ),
     "half a file": (LINES + "solution.write_text(''.join(lines[: len(lines) // 2]))", "only 50 % of the replay"),
+    "a header alone": ("solution.write_text('time_ns,height_m')", "without rows"),
+    "an endless time": (
+        "solution.write_text(f'time_ns,roll_deg,pitch_deg,heading_deg\\n{9 ** 40},1,1,1\\n')",
+        "not whole nanoseconds",
+    ),
+    "a comma too many": ("solution.write_text('time_ns,roll_deg\\n1,2,\\n')", "without pitch_deg and heading_deg"),
+    "a folder": ("solution.unlink()\nsolution.mkdir()", "wrote a solution: "),
+    "an unknown signal": ("import os\nos.kill(os.getpid(), 40)", "the signal 40"),
     "cut off": ("solution.write_text(solution.read_text()[:-70])", "is cut off in line"),
 }
 
@@ -210,6 +218,24 @@ def test_a_class_that_fails(word: str, reason: str, dive: Dive, alone: Replay) -
     assert reason in replay.verdicts["mine"].sentence
     assert rows_of_others(replay) == rows_of_others(alone)
     assert replay.printed.get("mine", "") == ("before\n" if "Failing" in word else "")
+
+
+class Scaling(Candidate):
+    """A class that changes what it is given."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Fail, with what it was given."""
+        given = float(np.sum(np.abs(dive.imu.angular_rate_b)))
+        dive.imu.angular_rate_b[:] *= 2.0
+        raise ValueError(f"given {given:.6g}")
+
+
+def test_a_class_cannot_change_the_dive_of_others(dive: Dive) -> None:
+    scaling = Filter(candidate=f"{__name__}:Scaling")
+    filters = {**FILTERS, "mine": scaling, "other": scaling}
+    verdicts = replay_dive(dive, Config(filters=filters, evaluation=Evaluation(starts=1))).verdicts
+    first, second = (verdicts[name].sentence for name in ("mine", "other"))
+    assert re.findall(r"given \S+", first) == re.findall(r"given \S+", second) != []
 
 
 # --- Settings.
