@@ -3,19 +3,14 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
-
-import msgspec
-import numpy as np
 
 from insdvl_replay.checks.sensors import contradiction_of_filter
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
-from insdvl_replay.core.errors import LogError, Note
+from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import report_stage, return_freed_memory
 from insdvl_replay.core.tables import CandidateVerdict, Tables
-from insdvl_replay.evaluation.consistency import MANY_REJECTED
 from insdvl_replay.evaluation.drift import jump_table
 from insdvl_replay.evaluation.evaluate import Curves, curves_of, tables_of_filters
 from insdvl_replay.evaluation.evidence import ReferenceNoise
@@ -24,7 +19,7 @@ from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 from insdvl_replay.evaluation.verdicts import evaluated_candidates
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, prepared_timeline, run_candidates, run_one
+from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, require_fit_of, run_candidates
 from insdvl_replay.preparation.user_runs import with_user_candidates
 
 
@@ -44,20 +39,6 @@ class Replay:
     curves: Curves  # evidence that is drawn over time
     notes: tuple[Note, ...]  # what was dropped, assumed or found odd
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
-
-
-LEAST_NIS, MOST_NIS = 0.4, 2.5  # mean NIS/dof of a baseline whose settings fit the dive
-# Warnings that name a unit, axes, a sign or a scale that is wrong.
-MISREAD: Final = frozenset(
-    {
-        "imu_gravity", "imu_upside_down", "imu_gyro_sign", "imu_gyro_scale", "imu_gyro_contradiction", "imu_gyro_axis",
-        "dvl_direction", "dvl_axes", "dvl_scale", "dvl_contradiction", "track_contradiction",
-    }
-)  # fmt: skip
-
-
-class MisfitError(LogError):
-    """The settings do not fit the dive, so that its filters would say nothing."""
 
 
 def replay_log(
@@ -88,32 +69,10 @@ def replay_log(
     """
     if require_fit:
         dives = [read_checked_dive(path, config, allow_damaged=allow_damaged, name=name)]
-        _require_fit(dives[0], config)
+        require_fit_of(dives[0], config)
         return replay_dive(dives.pop(), config)
     # No name holds the dive, so that its readings can go before the filters are compared.
     return replay_dive(read_checked_dive(path, config, allow_damaged=allow_damaged, name=name), config)
-
-
-def _require_fit(dive: Dive, config: Config) -> None:
-    """Raise a MisfitError if the settings do not fit. A simulated dive has the noise of the defaults, or less."""
-    if misread := next((note for note in dive.notes if note.code in MISREAD), None):
-        raise MisfitError(f"{dive.name}: {misread.text}", misread.hint)
-    if dive.truth is None:
-        raise MisfitError(f"{dive.name}: nobody has chosen the noise of its sensors", "set [noise], or use a --preset")
-    size, rejected = baseline_fit(dive, config)
-    if size > MOST_NIS or rejected > MANY_REJECTED:
-        text = f"NIS/dof of the baseline is {size:.2g}, and it rejects {rejected:.0%} of the velocities"
-        raise MisfitError(f"{dive.name}: {text}", "insdvl-replay calibrate fits geometry and noise")
-
-
-def baseline_fit(dive: Dive, config: Config) -> tuple[float, float]:
-    """Return NIS over degrees of freedom of the baseline's velocities, and the share that it rejects."""
-    dive = with_reference_at_imu(dive, config)
-    alone = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
-    prepared = prepare_with_heading(dive, alone)
-    innovations = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)).innovations[0]
-    sizes = innovations.nis * innovations.weight / innovations.dof
-    return float(np.mean(sizes)), float(np.mean(~innovations.used))
 
 
 def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay:

@@ -136,7 +136,8 @@ def run(
     require_tables(tables)
     given = [*settings, *opt.span_settings(start, end, starts)]
     load = partial(load_config, preset, config, given, allow_code=allow_code)
-    is_free = auto and not (control or preset or config or scheduler or against or sets_roles(settings))
+    says_more = not all(setting.startswith(("span.", "evaluation.")) for setting in settings)
+    is_free = auto and not (control or preset or config or scheduler or against or says_more)
     options = ReplayOptions(
         load(report=log_info),
         allow_damaged=allow_damaged,
@@ -174,7 +175,7 @@ def run(
 
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    unchanged, explained = 0, False
+    unchanged, explained, has_findings = 0, False, False
     for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun):
         name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
         if isinstance(report, Exception):
@@ -183,7 +184,7 @@ def run(
             continue
         reports.append(report)
         unchanged += outcome.unchanged
-        log_findings(report.notes, target, shows=not quiet and target == dives[0].target)
+        has_findings = log_findings(report.notes, target, shows=not (quiet or has_findings)) or has_findings
         if talks or (alone and not quiet):
             log_notes([note for note in report.notes if not is_finding(note)], verbose=verbose > 0)
             if verbose and report.notes and not explained:
@@ -292,41 +293,45 @@ def _require_overviews(dives: "Sequence[ReplayJob]", output: Path, tables: list[
             require_replaceable_file(path, force=force or beginning in path.read_bytes()[:_BEGINNING])
 
 
-def sets_roles(settings: Sequence[str]) -> bool:
-    """Return whether single settings say more than which part is replayed, and how it is judged."""
-    return not all(setting.startswith(("span.", "evaluation.")) for setting in settings)
-
-
 def outcomes_without_settings(
     dives: "Sequence[ReplayJob]", jobs: int, *, force: bool, rerun: bool
 ) -> "Generator[Outcome, None, None]":
-    """Replay dives of one vehicle as they are, if the first can be; else with settings that are found first."""
+    """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import UserError
     from insdvl_replay.inspection.automatic import find_settings, stored_settings
-    from insdvl_replay.replay import MisfitError
+    from insdvl_replay.preparation.run import MisfitError
 
     def with_options(dives: "Sequence[ReplayJob]", **changes: object) -> "list[ReplayJob]":
         options = replace(dives[0].options, require_fit=False, **changes)  # type: ignore[arg-type]
         return [replace(dive, options=options) for dive in dives]
 
+    def needs_settings(outcome: "Outcome") -> bool:
+        # No settings help where the result cannot be written.
+        target = str(outcome.job.target)
+        return isinstance(outcome.result, UserError) and not str(outcome.result).startswith(target)
+
+    def is_known(dive: "ReplayJob", config: "Config | None") -> bool:
+        return config is not None and bool(known_reports(with_options([dive], config=config), force=True))
+
     stored = [stored_settings(dive.target, dive.options.config) for dive in dives]
-    known = [
-        config is not None and bool(known_reports(with_options([dive], config=config), force=True))
-        for dive, config in zip(dives, stored, strict=True)
-    ]
-    if not rerun and stored[0] is not None and known[0] and all(config == stored[0] for config in stored):
+    if not rerun and all(config == stored[0] for config in stored) and is_known(dives[0], stored[0]):
         yield from outcomes_as_planned(with_options(dives, config=stored[0]), jobs, None, force=force, rerun=rerun)
         return
     # Settings that were found for other dives than these are found again, and replace those.
-    force = force or all(is_own or not dive.target.exists() for dive, is_own in zip(dives, known, strict=True))
+    force = force or all(not dive.target.exists() or is_known(dive, at) for dive, at in zip(dives, stored, strict=True))
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
-    # No settings help where the result cannot be written.
-    if not isinstance(first.result, UserError) or str(first.result).startswith(str(first.job.target)):
+    if not needs_settings(first):
         yield first
-        if dives[1:]:
-            yield from outcomes_as_planned(with_options(dives[1:]), jobs, None, force=force, rerun=rerun)
+        others = list["ReplayJob"]()
+        for outcome in outcomes_as_planned(dives[1:], jobs, None, force=force, rerun=rerun) if dives[1:] else ():
+            if needs_settings(outcome):
+                others.append(outcome.job)
+            else:
+                yield outcome
+        if others:
+            yield from outcomes_without_settings(others, jobs, force=force, rerun=rerun)
         return
     try:
         with progress("finding the settings", REPLAY, compiling()):
@@ -334,11 +339,12 @@ def outcomes_without_settings(
                 [dive.logs for dive in dives], dives[0].options.config, allow_damaged=dives[0].options.allow_damaged
             )
     except UserError as error:
-        if not isinstance(first.result, MisfitError):
-            yield replace(first, result=error)
-            dives = dives[1:]
-        if dives:
+        if isinstance(first.result, MisfitError):
             yield from outcomes_as_planned(with_options(dives), jobs, None, force=force, rerun=rerun)
+            return
+        yield replace(first, result=error)
+        if dives[1:]:
+            yield from outcomes_without_settings(dives[1:], jobs, force=force, rerun=rerun)
         return
     found_for = with_options(dives, config=found.config, found=found.notes, vehicle=found.text)
     yield from outcomes_as_planned(found_for, jobs, None, force=force, rerun=rerun)
@@ -349,15 +355,16 @@ def is_finding(note: "Note") -> bool:
     return note.code.startswith("found_")
 
 
-def log_findings(notes: "Sequence[Note]", target: Path, *, shows: bool) -> None:
-    """Print what was found or assumed of a vehicle without settings, warnings first."""
+def log_findings(notes: "Sequence[Note]", target: Path, *, shows: bool) -> bool:
+    """Print what was found or assumed of a vehicle without settings, warnings first; return whether there is any."""
     from insdvl_replay.cli.messages import log_to_stderr
 
-    findings = [note for note in notes if is_finding(note) and shows]
-    for note in findings:
+    findings = [note for note in notes if is_finding(note)]
+    for note in findings if shows else ():
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
-    if findings:
+    if findings and shows:
         log_to_stderr(f"to repeat it: -c {shlex.quote(str(target / 'vehicle.toml'))}")
+    return bool(findings)
 
 
 def outcomes(

@@ -65,8 +65,7 @@ from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import RoleColumns, find_roles
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import FIT, fitted_start
-from insdvl_replay.replay import LEAST_NIS, MOST_NIS, baseline_fit
+from insdvl_replay.preparation.run import FIT, LEAST_NIS, MOST_NIS, baseline_fit, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 MOST_DIVES: Final = 5  # dives from which the settings are found

@@ -21,6 +21,7 @@ from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR
+from insdvl_replay.evaluation.consistency import MANY_REJECTED
 from insdvl_replay.evaluation.drift import HeadingFit, heading_fit
 from insdvl_replay.evaluation.evaluate import evaluated_times, with_solutions
 from insdvl_replay.evaluation.outage_test import (
@@ -41,7 +42,7 @@ from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timel
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, in_outages
-from insdvl_replay.preparation.prepared import Prepared, prepare_dive
+from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
 from insdvl_replay.preparation.solutions import recorded_history
 
 T = TypeVar("T")
@@ -393,3 +394,41 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
 def _started(initial: Initial, heading_deg: float, bias_degph: float, **others: Any) -> Initial:
     bias = (*initial.gyro_bias_degph[:2], bias_degph)
     return changed(initial, heading_deg=heading_deg, gyro_bias_degph=bias, **others)
+
+
+# --- Whether the settings fit a dive.
+
+LEAST_NIS, MOST_NIS = 0.4, 2.5  # mean NIS/dof of a baseline whose settings fit the dive
+# Warnings that name a unit, axes, a sign or a scale that is wrong.
+MISREAD: Final = frozenset(
+    {
+        "imu_gravity", "imu_upside_down", "imu_gyro_sign", "imu_gyro_scale", "imu_gyro_contradiction", "imu_gyro_axis",
+        "dvl_direction", "dvl_axes", "dvl_scale", "dvl_contradiction", "track_contradiction",
+    }
+)  # fmt: skip
+
+
+class MisfitError(LogError):
+    """The settings do not fit the dive, so that its filters would say nothing."""
+
+
+def require_fit_of(dive: Dive, config: Config) -> None:
+    """Raise a MisfitError if the settings do not fit. A simulated dive has the noise of the defaults, or less."""
+    if misread := next((note for note in dive.notes if note.code in MISREAD), None):
+        raise MisfitError(f"{dive.name}: {misread.text}", misread.hint)
+    if dive.truth is None:
+        raise MisfitError(f"{dive.name}: nobody has chosen the noise of its sensors", "set [noise], or use a --preset")
+    size, rejected = baseline_fit(dive, config)
+    if size > MOST_NIS or rejected > MANY_REJECTED:
+        text = f"NIS/dof of the baseline is {size:.2g}, and it rejects {rejected:.0%} of the velocities"
+        raise MisfitError(f"{dive.name}: {text}", "insdvl-replay calibrate fits geometry and noise")
+
+
+def baseline_fit(dive: Dive, config: Config) -> tuple[float, float]:
+    """Return NIS over degrees of freedom of the baseline's velocities, and the share that it rejects."""
+    dive = with_reference_at_imu(dive, config)
+    alone = changed(config, filters={config.baseline: config.filters[config.baseline]})
+    prepared = prepare_with_heading(dive, alone)
+    innovations = run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)).innovations[0]
+    sizes = innovations.nis * innovations.weight / innovations.dof
+    return float(np.mean(sizes)), float(np.mean(~innovations.used))

@@ -13,7 +13,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.logs import write_dive
-from insdvl_replay.replay import LEAST_NIS, MOST_NIS
+from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS
 from insdvl_replay.replay import replay_log as replayed
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -53,6 +53,20 @@ def test_a_damaged_log_is_replayed_and_the_found_settings_repeat_it(
     assert run_command_line(["run", str(log), "-o", str(first), "--starts", "1", "--rerun"]) == 0
     assert "found: IMU" in capsys.readouterr().err
     assert (first / "dive" / "vehicle.toml").is_file()
+
+
+def test_dives_that_fit_or_cannot_be_read_do_not_decide_for_the_others(
+    good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, broken = written(good, "deg/s", tmp_path), tmp_path / "broken.mcap"
+    broken.write_bytes(b"no log" * 100)
+    for place, first in enumerate((Path("sample_logs/straight.mcap").absolute(), broken)):
+        out = tmp_path / f"out{place}"
+        code = run_command_line(["run", str(first), str(log), "-o", str(out), "--starts", "1"])
+        assert (code == 0) == (first != broken)
+        assert "found: IMU" in capsys.readouterr().err
+        assert (out / "dive" / "vehicle.toml").is_file()
+        assert not (out / "straight" / "vehicle.toml").exists()
 
 
 def test_no_auto_stops(good: Dive, tmp_path: Path) -> None:
