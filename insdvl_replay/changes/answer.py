@@ -41,8 +41,14 @@ from insdvl_replay.show.answers import (
     verdict_with_reason,
 )
 from insdvl_replay.show.document import ShownColumn, table_of
-from insdvl_replay.show.first_screen import by_dive_forest, evidence_forest, first_screen, section
-from insdvl_replay.show.forest import ForestRow, change_of_value
+from insdvl_replay.show.first_screen import (
+    ForestRow,
+    by_dive_forest,
+    change_of_value,
+    evidence_forest,
+    first_screen,
+    section,
+)
 
 OLD: Final = "before"  # name of the old side in sentences
 # Evidence of a single dive: columns of its trajectory, with their units.

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.errors import Note
     from insdvl_replay.core.result import Report
-    from insdvl_replay.show.dives import Failure
+    from insdvl_replay.show.answers import Failure
 
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
 
@@ -119,14 +119,9 @@ def run(
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, result_file
-    from insdvl_replay.show.dive import (
-        TOGETHER,
-        replay_result,
-        require_tables,
-        tables_named,
-    )
-    from insdvl_replay.show.dive_page import dive_document
-    from insdvl_replay.show.dives import INDEX, OVERVIEWS, Failure, overview_parts
+    from insdvl_replay.show.answers import Failure
+    from insdvl_replay.show.dive import TOGETHER, dive_document, replay_result, require_tables, tables_named
+    from insdvl_replay.show.dives import INDEX, OVERVIEWS, overview_parts
     from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 
     if history == "parquet":

@@ -45,11 +45,9 @@ _ANOTHER_PLACE: Final = "choose another place with -o"
 
 
 class _Label(msgspec.Struct):
-    """The fields of a report that name its tool and files. Early reports have no list of files."""
+    """The fields of a report that name its tool and files."""
 
     tool: dict[str, str | float | None]
-    baseline: str = ""
-    filters: dict[str, Any] = {}
     files: dict[str, str] = {}
 
 
@@ -177,21 +175,11 @@ def _remove_leftovers(folder: Path) -> None:
     for path in folder.glob(f".{_MARK}*"):
         with suppress(OSError):
             newest_s = max(file.lstat().st_mtime for file in (path, *path.rglob("*")))
-            if time.time() - newest_s > _LEFT_FOR_S and _put_back(path / _OLD, folder):
+            if time.time() - newest_s > _LEFT_FOR_S:
+                for result in (path / _OLD).glob("*"):
+                    if not os.path.lexists(folder / result.name):
+                        result.rename(folder / result.name)
                 shutil.rmtree(path, ignore_errors=True)
-
-
-def _put_back(old: Path, folder: Path) -> bool:
-    """Put older results back if their places are empty; return whether the rest can be removed."""
-    if not old.is_dir():
-        return True
-    results = list(old.iterdir())
-    if not all(result.is_dir() for result in results):  # an early version left one here without its name
-        return False
-    for result in results:
-        if not os.path.lexists(folder / result.name):
-            result.rename(folder / result.name)
-    return True
 
 
 # --- What is there already
@@ -263,9 +251,8 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
         label = _LABELS.decode(read_file(folder / COMPLETE))
     except (OSError, *NOT_JSON):
         label = _Label(tool={})
-    if label.tool.get("name") == TOOL:
-        trajectories = map(trajectory_file, [label.baseline, *label.filters])
-        return {COMPLETE, *(label.files or {*DIVE_FILES, *trajectories, REFERENCE_TRAJECTORY, *MAPS.values()})}
-    # Checks and early versions do not write these.
+    if label.files and label.tool.get("name") == TOOL:
+        return {COMPLETE, *label.files}
+    # Checks do not write these.
     needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None

@@ -18,8 +18,7 @@ from insdvl_replay.replay import Replay
 from insdvl_replay.results.folder import COMPLETE, LAYOUT_FILES, PAGE, REPLAY_LOG, TRAJECTORY_FILE, history_file
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.show.answers import has_reference
-from insdvl_replay.show.dive import NO_REFERENCE
-from insdvl_replay.show.dive_page import dive_page
+from insdvl_replay.show.dive import NO_REFERENCE, dive_page
 from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 

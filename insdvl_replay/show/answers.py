@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final, Protocol, TypeVar
 
 from msgspec.structs import replace
@@ -36,6 +37,22 @@ TONES: Final[dict[str, str]] = {
     Verdict.WORSE: "bad",
     Verdict.NOT_EVALUATED: "bad",
 }
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A log that could not be replayed, and why, in one sentence."""
+
+    log: str
+    reason: str
+
+
+Outcome = Report | Failure
+
+
+def reports_of(outcomes: Sequence[Outcome]) -> list[Report]:
+    """Return the dives that were replayed."""
+    return [outcome for outcome in outcomes if isinstance(outcome, Report)]
 
 
 class _FilterRow(Protocol):

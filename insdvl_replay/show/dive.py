@@ -1,17 +1,44 @@
-"""What people see of one dive: its tables in every format, and what screens and pages have in common."""
+"""What people see of one dive: its tables in every format, its page, and what screens and pages have in common."""
 
+import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
+import msgspec
 from msgspec import Struct
 
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import counted, require_known
-from insdvl_replay.core.quantities import is_whole, label
-from insdvl_replay.core.result import PAGE, Block, DisplayTable, Only, Part, Report, Result, Title
+from insdvl_replay.core.quantities import is_used, is_whole, label
+from insdvl_replay.core.result import (
+    PAGE,
+    PRINTED,
+    PRINTED_LONG,
+    Block,
+    Callout,
+    Code,
+    DisplayTable,
+    Figure,
+    Heading,
+    Html,
+    Only,
+    Panel,
+    Part,
+    Report,
+    Result,
+    Sentences,
+    Title,
+    flattened,
+)
 from insdvl_replay.core.tables import TABLES, Number, each_table, finite
 from insdvl_replay.core.words import ReferenceStatus, Verdict
-from insdvl_replay.show.answers import as_shown, of_filter, prediction_word
-from insdvl_replay.show.document import MISSING, ShownColumn, number, percent, shown, table_of
+from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
+from insdvl_replay.show.answers import TONES, answer_on_dive, as_shown, has_reference, of_filter, prediction_word
+from insdvl_replay.show.document import MISSING, ShownColumn, notes_table, number, percent, shown, significant, table_of
+from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
+from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
 
 NO_REFERENCE: Final = (
     "There is no reference, so true errors are unknown: accuracy, measured convergence, credibility and the predicted "
@@ -81,6 +108,42 @@ def track_fit_line(report: Report) -> Iterator[str]:
         texts.append(f"{row.quantity} {finite(row.fitted):+.{digits}f}{sd} {row.unit}")
     if texts:
         yield f"track fit: {', '.join(texts)}"
+
+
+# What is shown of a filter without candidates, with units.
+UNITS_ALONE: Final = {
+    "position rms": "m",
+    "depth rms": "m",
+    "velocity rms": "m/s",
+    "drift in 60 s": "m",
+    "60 s without DVL": "m",
+    "NIS / dof": "",
+}
+
+
+def values_alone(report: Report) -> dict[str, str]:
+    """Return the values of the only filter that are known, by name."""
+    tables = report.tables
+    errors = {row.quantity: finite(row.rmse) for row in tables.reference_error}
+    drifts = [row.rms for row in tables.drift if row.quantity == "drift_60s"]
+    outages = [row.drift_median_m for row in tables.outage if row.window_s == "60"]
+    sizes = [finite(row.mean_nis) / row.dof for row in tables.consistency if is_used(row.measurement)]
+    found = {
+        "position rms": errors.get("position_h"),
+        "depth rms": errors.get("depth"),
+        "velocity rms": math.hypot(*(errors.get(f"velocity_{axis}", math.nan) for axis in "ned")),
+        "drift in 60 s": next(iter(drifts), None),
+        "60 s without DVL": next(iter(outages), None),
+        "NIS / dof": next(iter(sizes), None),
+    }
+    texts = {name: significant(value, 3) for name, value in found.items()}
+    return {name: text for name, text in texts.items() if text != MISSING}
+
+
+def line_alone(report: Report) -> str:
+    """Return the values of the only filter in a line, such as ``position rms 0.22 m``."""
+    texts = [f"{name} {value} {UNITS_ALONE[name]}".rstrip() for name, value in values_alone(report).items()]
+    return f"{report.baseline}: {', '.join(texts)} ({consistency_of(report.tables.consistency, report.baseline)})"
 
 
 def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
@@ -244,3 +307,126 @@ def tables_named(report: Report, *names: str) -> list[DisplayTable]:
 def over_starts(starts: int) -> str:
     """Say how values and ratio of accuracy rows differ; empty for one start."""
     return f"accuracy ratios: over {starts} random starts; values: from the start in the log" if starts > 1 else ""
+
+
+# --- The page, and the same document in other formats.
+
+MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
+# Rows of a forest plot, by the number of candidates; with more candidates the fewest rows.
+_MOST_ROWS: Final = {1: 14, 2: 10}
+_FEWEST_ROWS: Final = 8
+
+
+def dive_document(
+    report: Report, panels: Sequence[Panel] = (), figures: Sequence[Part] = (), last: Sequence[Part] = ()
+) -> list[Part]:
+    """Return a report as a document: what was measured, then what the filters predict.
+
+    ``panels`` are next to the verdicts, ``figures`` after the evidence, ``last`` after all tables.
+    """
+    found = tables_of(report)
+
+    def named(*names: str) -> list[DisplayTable]:
+        return [table for (name, _), table in found.items() if name in names]
+
+    by_candidate, outage, references = named("evidence"), named("outage"), named("drift", "track_fit", "jumps")
+    gains, names = ("improvement", "convergence", "reference_error"), [*report.filters] or [report.baseline]
+    tables = [found[kind, name] for name in names for kind in gains if (kind, name) in found]
+    tables += named("consistency", "innovations", "credibility")
+    verdicts = (Callout(candidate.sentence, TONES.get(candidate.verdict, "")) for candidate in report.filters.values())
+    headline = list(headline_table(report, "This run: position error and drift without DVL", SPECIFIED))
+    return [
+        Only(PRINTED, (Title(heading(report)), *verdicts, *headline)),
+        Only(PAGE, (Title(replayed(report)), *_first_screen(report, panels, headline), *by_candidate)),
+        *([] if report.filters else [line_alone(report)]),
+        *track_fit_line(report),
+        *([] if has_reference(report) else [NO_REFERENCE]),
+        Only(PRINTED, (*by_candidate, *outage)),
+        Only(PRINTED_LONG, tuple(references)),
+        *figures,
+        Heading("Tables"),
+        Only(PAGE, tuple(replace(table, folded=True) for table in (*outage, *references, *tables))),
+        Only(PRINTED, (*tables, Sentences(closing_lines(report)))),
+        *last,
+    ]
+
+
+def _first_screen(report: Report, panels: Sequence[Panel], headline: Sequence[DisplayTable]) -> Iterator[Part]:
+    """Yield the verdicts with their evidence, and next to them the panels and the headline."""
+    sections = [dive_section(report, name) for name in report.filters]
+    runs = "Errors over time: median and range of the runs from all starts. " if len(panels) > 1 else ""
+    caption = f"{runs}{HOW_TO_READ} {MEANING}" if panels else ""
+    yield first_screen(sections, caption, pictures(panels), headline)
+    if any(candidate.sentence.endswith(SHARED) for candidate in report.filters.values()):
+        yield SHARED
+
+
+def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
+    """Return the section of a candidate on one dive."""
+    answer = answer_on_dive(report, name)
+    if answer.verdict == Verdict.NOT_EVALUATED:
+        return section(answer, [f"{answer.reason}. Settle this first."])
+    sentences = [answer.measured, answer.predicted, trust_sentence(report.tables, name, report.baseline)]
+    most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
+    return section(answer, sentences, [evidence_forest(title, answer, most)])
+
+
+def closing_lines(report: Report) -> tuple[str, ...]:
+    """Return a line for each candidate with its mean predicted improvement."""
+    consistency_words = "reference error and consistency" if has_reference(report) else "outage and consistency"
+    return tuple(
+        f"{name}: predicted by its own covariance, mean of nine states: "
+        f"{percent(means.mean_improvement_pct)} smaller sigma, "
+        f"{percent(means.mean_convergence_improvement_pct)} faster convergence "
+        f"(a filter without any change has {percent(means.mean_convergence_unchanged_pct)}; by the nearest approach "
+        f"{percent(means.mean_nearest_approach_improvement_pct)}). To check it, see {consistency_words}."
+        for name, means in report.filters.items()
+        if means.verdict != Verdict.NOT_EVALUATED
+    )
+
+
+def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
+    """Return the page of a replay; the same replay gives the same bytes."""
+    sensors = captioned("Data coverage", "Height: share of the time with valid samples. A dip is a gap.", strips)
+    log = report.log
+    origin = {
+        "log": log.name,
+        "SHA-256 of the log": log.sha256 or "none",
+        "span on the log's clock": f"{log.start_ns} to {log.end_ns} ns",
+        "tool": f"{report.tool.name} {report.tool.version}",
+        "packages": ", ".join(f"{name} {version}" for name, version in report.versions.items()),
+    }
+    channels = table_of(
+        "Channels of the log",
+        log.channels,
+        (
+            ("topic", "l", "topic"),
+            ("type", "l", "type_name"),
+            ("encoding", "l", "encoding"),
+            ("role", "l", lambda channel: channel.role or "not used"),
+            ("messages", "r", "messages"),
+        ),
+    )
+    return page(
+        dive_document(
+            report,
+            first,
+            [Heading("Figures"), *figures, Html(sensors)],
+            [
+                Heading("Notes"),
+                notes_table(report.notes),
+                Heading("Provenance"),
+                facts(origin),
+                channels,
+                Code(changed_settings(report.config), "toml"),
+                settings_details(settings),
+            ],
+        )
+    )
+
+
+def changed_settings(config: Mapping[str, Any]) -> str:
+    """Write the settings that are not the defaults, a line each."""
+    usual = dict(flattened(msgspec.to_builtins(Config())))
+    lines = [f"{key} = {json.dumps(value)}" for key, value in flattened(config) if usual.get(key, ...) != value]
+    return "\n".join(["# settings that differ from the defaults", *lines] if lines else ["# all settings are defaults"])

@@ -1,7 +1,7 @@
-"""Several dives as shown: the screen, the summary for scripts, the page with a link to each dive."""
+"""Several dives as shown: the summary for scripts, the tables of all dives, the page with a link to each dive."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 from urllib.parse import quote
 
@@ -11,10 +11,13 @@ from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import is_whole, label
 from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Report, Result, Title
 from insdvl_replay.core.tables import Number, PooledRow
-from insdvl_replay.core.words import Severity, Verdict
+from insdvl_replay.core.words import GateStatus, Severity, Verdict
 from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_sentence
+from insdvl_replay.evaluation.verdicts import consistency_of
 from insdvl_replay.show.answers import (
     TONES,
+    Failure,
+    Outcome,
     answer_on_dive,
     as_shown,
     baseline_names,
@@ -23,36 +26,15 @@ from insdvl_replay.show.answers import (
     has_reference,
     pooled_answers,
     prediction_word,
+    reports_of,
     verdict_counts,
 )
-from insdvl_replay.show.dive import TOGETHER, replay_result
-from insdvl_replay.show.dive_page import dive_section
+from insdvl_replay.show.dive import TOGETHER, UNITS_ALONE, dive_section, replay_result, values_alone
 from insdvl_replay.show.document import MISSING, number, percent, shown, table_csv, table_of
 from insdvl_replay.show.first_screen import DIVE_PAGE, dives_forest, evidence_forest, first_screen, section
 from insdvl_replay.show.page import SIGNATURE, page
 
-
-@dataclass(frozen=True)
-class Failure:
-    """A log that could not be replayed, and why, in one sentence."""
-
-    log: str
-    reason: str
-
-
-Outcome = Report | Failure
 INDEX: Final = "index.html"
-
-
-def reports_of(outcomes: Sequence[Outcome]) -> list[Report]:
-    """Return the dives that were replayed."""
-    return [outcome for outcome in outcomes if isinstance(outcome, Report)]
-
-
-def failed_count(outcomes: Sequence[Outcome]) -> int:
-    """Return the number of logs that could not be replayed."""
-    return sum(isinstance(outcome, Failure) for outcome in outcomes)
-
 
 # --- For scripts: a summary, and the pooled evidence.
 
@@ -185,7 +167,8 @@ def overview_parts(outcomes: Sequence[Outcome]) -> list[Part]:
 
 def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
-    failed, reports = failed_count(outcomes), reports_of(outcomes)
+    reports = reports_of(outcomes)
+    failed = len(outcomes) - len(reports)
     pooled, names = pooled_answers(reports), candidate_names(reports)
     compared = f": {', '.join(names)} against {reports[0].baseline}" if 0 < len(names) <= MOST_NAMED else ""
     yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
@@ -224,6 +207,9 @@ MEANS: Final = (
     "evidence: the row that decided, or could have, with its ratio; predicted: how much smaller sigma is, mean of nine "
     "states, by the filter's own covariance"
 )
+MEDIAN: Final = "without DVL: the median"
+# The columns of filters without candidates.
+_ALONE: Final = tuple((f"{name}\n[{unit}]" if unit else name, "r", name) for name, unit in UNITS_ALONE.items())
 _COLUMNS: Final = (
     ("dive", "l", "dive"),
     ("filter", "l", "filter"),
@@ -235,35 +221,45 @@ _COLUMNS: Final = (
     ("prediction", "l", "prediction"),
     ("baseline\nposition [m]", "r", "baseline_m"),
     ("candidate\nposition [m]", "r", "candidate_m"),
+    *_ALONE,
     ("consistency", "l", "consistency"),
     ("warnings", "r", "warnings"),
     ("reason of failure", "l", "reason"),
 )
-_WITH_REFERENCE: Final = ("prediction", "baseline_m", "candidate_m")  # Columns that are empty without a reference.
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
-    """Yield the table of dives, each with a link to its page, and the pooled evidence."""
-    rows = [row for outcome in outcomes for row in _dive_rows(outcome)]
-    known = any(has_reference(report) for report in reports_of(outcomes))
-    left_out = {*(() if known else _WITH_REFERENCE), *(() if failed_count(outcomes) else ("reason",))}
-    columns = [column for column in _COLUMNS if column[2] not in left_out]
-    footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
+    """Yield the table of dives, each with a link to its page, and the pooled evidence; empty columns are left out."""
+    rows, reports = [row for outcome in outcomes for row in _dive_rows(outcome)], reports_of(outcomes)
+    columns = [column for column in _COLUMNS if any(row[column[2]] not in (MISSING, "") for row in rows)]
+    title, footnote = "Each dive", MEDIAN
+    if candidate_names(reports):
+        known = any(has_reference(report) for report in reports)
+        title = "Each candidate against its baseline"
+        footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
     links = tuple(f"{quote(row['dive'])}/{DIVE_PAGE}" if not row["reason"] else "" for row in rows)
-    yield replace(table_of("Each candidate against its baseline", rows, columns, footnote), links=links)
+    yield replace(table_of(title, rows, columns, footnote), links=links)
     yield from _pooled_tables(outcomes)
 
 
+def table_alone(outcomes: Sequence[Outcome]) -> DisplayTable:
+    """Return the values of filters without candidates, a row for each dive."""
+    rows = [row for outcome in outcomes for row in _dive_rows(outcome)]
+    columns = (("dive by dive", "l", "dive"), *_ALONE, ("consistency", "l", "consistency"))
+    return table_of("", rows, columns, MEDIAN, spare=(2, 6, 3, 7))
+
+
 def _dive_rows(outcome: Outcome) -> Iterator[dict[str, str]]:
-    """Yield a row for each candidate of a dive, with text for each column."""
+    """Yield a row for each candidate of a dive, or for its only filter, with text for each column."""
     empty = dict.fromkeys((key for _, _, key in _COLUMNS), MISSING)
     if isinstance(outcome, Failure):
-        yield empty | {"dive": outcome.log, "reason": outcome.reason}
+        yield empty | {"dive": outcome.log, "consistency": GateStatus.FAILED, "reason": outcome.reason}
         return
     warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
     empty |= {"dive": outcome.log.name, "warnings": str(warnings), "reason": ""}
     if not outcome.filters:
-        yield empty | {"filter": outcome.baseline}
+        consistency = consistency_of(outcome.tables.consistency, outcome.baseline)
+        yield empty | {"filter": outcome.baseline, "consistency": consistency} | values_alone(outcome)
     for name, candidate in outcome.filters.items():
         row = empty | {"filter": name, "consistency": candidate.consistency}
         row |= zip(("baseline_m", "candidate_m"), map(number, _position_rmse(outcome, name, "position_h")), strict=True)

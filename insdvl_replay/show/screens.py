@@ -12,10 +12,11 @@ from insdvl_replay.core.words import GateStatus, Severity, Verdict
 from insdvl_replay.evaluation.answers import EVERY_DIVE, FEWEST_SHOWN, NOTABLE_PCT, Piece, may_decide, reason_in_words
 from insdvl_replay.evaluation.notes import is_noise_far_off
 from insdvl_replay.evaluation.verdicts import consistency_of, trust_sentence
-from insdvl_replay.show.alone import line_alone, table_alone
 from insdvl_replay.show.answers import (
     TONES,
     AnyCandidate,
+    Failure,
+    Outcome,
     answer_on_dive,
     answers_of,
     baseline_names,
@@ -29,6 +30,7 @@ from insdvl_replay.show.answers import (
     prediction_word,
     ratio_text,
     reason_undecided,
+    reports_of,
     shouted,
     spoken_rows,
     verdict_counts,
@@ -36,8 +38,8 @@ from insdvl_replay.show.answers import (
     verdict_with_reason,
     would_decide,
 )
-from insdvl_replay.show.dive import NO_REFERENCE, headline_table, over_starts, track_fit_line
-from insdvl_replay.show.dives import Failure, Outcome, failed_count, reports_of
+from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, over_starts, track_fit_line
+from insdvl_replay.show.dives import table_alone
 from insdvl_replay.show.document import MISSING, ShownColumn, decimal, percent, significant, table_of
 
 
@@ -251,10 +253,9 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
 
 def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
     """Return a line with the number of dives, of those that failed, and of those with warnings."""
-    said = [counted(len(outcomes), "dive"), f"{failed_count(outcomes)} failed"]
-    codes = [
-        {note.code for note in report.notes if note.severity == Severity.WARNING} for report in reports_of(outcomes)
-    ]
+    reports = reports_of(outcomes)
+    said = [counted(len(outcomes), "dive"), f"{len(outcomes) - len(reports)} failed"]
+    codes = [{note.code for note in report.notes if note.severity == Severity.WARNING} for report in reports]
     if counts := Counter(code for found in codes for code in found):
         named = [f"{code} {count}" for code, count in counts.most_common(MOST_CODES)]
         named += [f"{len(counts) - MOST_CODES} more"] if len(counts) > MOST_CODES else []

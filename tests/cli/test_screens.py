@@ -27,7 +27,8 @@ from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.words import EvidenceVerdict, GateStatus, Prediction, Verdict
 from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
-from insdvl_replay.show.dives import Failure, index_page, named_result, summary_rows
+from insdvl_replay.show.answers import Failure
+from insdvl_replay.show.dives import index_page, named_result, summary_rows
 from insdvl_replay.show.render import render
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.show.text import for_terminal

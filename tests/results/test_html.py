@@ -20,8 +20,7 @@ from insdvl_replay.core.states import STATES
 from insdvl_replay.core.tables import finite
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.results.result_files import save_replay
-from insdvl_replay.show.dive import NO_REFERENCE
-from insdvl_replay.show.dive_page import changed_settings, dive_document
+from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_document
 from insdvl_replay.show.document import parts_for
 from insdvl_replay.show.figures import (
     Clock,

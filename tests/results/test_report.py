@@ -25,16 +25,17 @@ from insdvl_replay.core.tables import (
 from insdvl_replay.core.words import Reason
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.result_files import run_log
-from insdvl_replay.show.answers import verdict_in_table
+from insdvl_replay.show.answers import Failure, verdict_in_table
 from insdvl_replay.show.dive import (
     NO_REFERENCE,
+    closing_lines,
+    dive_document,
     heading,
     headline_table,
     replay_result,
     track_fit_line,
 )
-from insdvl_replay.show.dive_page import closing_lines, dive_document
-from insdvl_replay.show.dives import OVERVIEWS, Failure
+from insdvl_replay.show.dives import OVERVIEWS
 from insdvl_replay.show.document import number, percent, table_csv
 from insdvl_replay.show.latex import as_latex
 from insdvl_replay.show.page import page

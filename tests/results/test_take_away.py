@@ -26,8 +26,7 @@ from insdvl_replay.core.result import DisplayTable
 from insdvl_replay.core.states import STATES
 from insdvl_replay.results import stored_results
 from insdvl_replay.results.trajectory import KINDS
-from insdvl_replay.show.dive import replay_result
-from insdvl_replay.show.dive_page import dive_document
+from insdvl_replay.show.dive import dive_document, replay_result
 from insdvl_replay.show.dives import named_result
 from insdvl_replay.show.document import number as shown_number
 from insdvl_replay.show.latex import as_latex

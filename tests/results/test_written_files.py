@@ -337,12 +337,3 @@ def test_an_older_result_goes_back_after_a_kill_between_two_renames(
     written(tmp_path / "another", "new")
     assert f'"{word}"' in (target / COMPLETE).read_text()
     assert not hidden.exists()
-
-
-def test_an_older_result_without_its_name_is_not_removed(tmp_path: Path) -> None:
-    old = tmp_path / ".insdvl-replay-early" / "old"
-    old.mkdir(parents=True)
-    (old / COMPLETE).write_text(OURS % "old")
-    aged(old.parent)
-    written(tmp_path / "dive", "new")
-    assert (old / COMPLETE).exists()

@@ -6,9 +6,9 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.result import Report
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.results.result_files import report_of
-from insdvl_replay.show.dive import replay_result
-from insdvl_replay.show.dive_page import dive_document
-from insdvl_replay.show.dives import Failure
+from insdvl_replay.show.answers import Failure
+from insdvl_replay.show.dive import dive_document, replay_result
+from insdvl_replay.show.dives import index_page, overview_parts
 from insdvl_replay.show.render import render
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.sim.dive import simulate_dive
@@ -47,3 +47,21 @@ def test_several_dives_have_a_row_each(reports: tuple[Report, Report]) -> None:
     text = render(replay_result([reports[0]], parts, []), "md")
     assert all(name in text for name in NAMES[:3])
     assert "failed" in next(line for line in text.splitlines() if "lost" in line)
+
+
+def test_the_page_of_several_dives_has_their_values_and_links_and_no_empty_column(
+    reports: tuple[Report, Report],
+) -> None:
+    alone, pair = reports
+    text = render(replay_result([alone], overview_parts([alone, alone]), []), "md")
+    head, _, first, second = (line for line in text.splitlines() if line.startswith("|"))
+    cells = dict(zip(head.split(" | "), first.split(" | "), strict=True))
+    assert first == second
+    position = next(row.rmse for row in alone.tables.reference_error if row.quantity == "position_h")
+    assert cells["position rms [m]"] == f"{position:.3g}"
+    assert cells["consistency"] == "conservative"
+    assert "verdict" not in head
+    page = index_page([alone, Failure("lost", "no log")]).decode()
+    assert f'<a href="{alone.log.name}/report.html">{alone.log.name}</a>' in page
+    assert "no log" in page
+    assert "position rms" not in index_page([pair, pair]).decode(), "these are in the evidence"

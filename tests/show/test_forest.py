@@ -6,7 +6,7 @@ import re
 import pytest
 
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.show.forest import LEFT, RIGHT, ForestRow, axis_end, forest, forest_svg, place, tone_class
+from insdvl_replay.show.first_screen import LEFT, RIGHT, ForestRow, axis_end, forest, place, tone_class
 from insdvl_replay.show.plot import style_sheet
 
 
@@ -16,7 +16,7 @@ def across(tag: str, attribute: str, svg: str) -> list[float]:
 
 
 def test_half_and_twice_are_the_ends_of_the_axis_and_one_is_its_middle() -> None:
-    svg = forest_svg([ForestRow("drift", ratio, (0.5, 2.0)) for ratio in (1.0, 0.5, 2.0)])
+    svg = forest("", [ForestRow("drift", ratio, (0.5, 2.0)) for ratio in (1.0, 0.5, 2.0)])
     assert across("circle", "cx", svg) == [47.0, 30.0, 64.0]
     assert across('line class="interval"', "x1", svg) == [30.0] * 3
     assert across('line class="interval"', "x2", svg) == [64.0] * 3
@@ -28,7 +28,7 @@ def test_half_and_twice_are_the_ends_of_the_axis_and_one_is_its_middle() -> None
 
 def test_a_ratio_beyond_the_axis_is_an_arrow_with_its_size() -> None:
     near = [ForestRow("drift", 1.0)] * 4
-    svg = forest_svg([*near, ForestRow("outage", 50.03, (40.0, 60.0), "worse"), ForestRow("level", 0.02)])
+    svg = forest("", [*near, ForestRow("outage", 50.03, (40.0, 60.0), "worse"), ForestRow("level", 0.02)])
     assert re.findall(rf'class="beyond" x="({RIGHT}|{LEFT})%"[^>]*>([^<]+)<', svg) == [
         (f"{RIGHT}", "50x ▶"), (f"{LEFT}", "◀ 0.02x")
     ]  # fmt: skip
@@ -37,7 +37,7 @@ def test_a_ratio_beyond_the_axis_is_an_arrow_with_its_size() -> None:
 
 
 def test_an_interval_that_goes_on_beyond_the_axis_ends_in_a_tip() -> None:
-    svg = forest_svg([ForestRow("drift", 1.0, (0.4, 1.5)), ForestRow("drift", 1.0, (0.6, 1.5))])
+    svg = forest("", [ForestRow("drift", 1.0, (0.4, 1.5)), ForestRow("drift", 1.0, (0.6, 1.5))])
     assert across('svg class="tip"', "x", svg) == [LEFT]
 
 
@@ -63,7 +63,7 @@ def test_what_is_missing_is_not_drawn_and_rows_share_a_footnote() -> None:
 
 
 def test_a_row_names_its_verdict_and_numbers_where_the_pointer_rests() -> None:
-    svg = forest_svg([ForestRow("one <&>", 0.8512, (0.7, 0.9), "better"), ForestRow("two", None, tone="not evaluated")])
+    svg = forest("", [ForestRow("one <&>", 0.8512, (0.7, 0.9), "better"), ForestRow("two", None, tone="not evaluated")])
     assert re.findall("<title>(.*?)</title>", svg) == [
         "one &lt;&amp;&gt;: 0.851 (0.7 .. 0.9) better", "two not evaluated"
     ]  # fmt: skip
@@ -71,7 +71,7 @@ def test_a_row_names_its_verdict_and_numbers_where_the_pointer_rests() -> None:
 
 def test_a_long_name_is_shortened_in_the_middle_and_its_link_is_whole() -> None:
     name = "rosbag2_2024_05_03-12_30_11"
-    svg = forest_svg([ForestRow(name, 1.0, link=f"{name}/report.html")])
+    svg = forest("", [ForestRow(name, 1.0, link=f"{name}/report.html")])
     assert f'<a href="{name}/report.html">' in svg
     assert f"<title>{name}: 1</title>" in svg
     assert ">rosbag2_2…3-12_30_11<" in svg
@@ -105,8 +105,9 @@ def test_every_verdict_has_a_colour() -> None:
 
 def test_ends_that_are_not_finite_leave_no_broken_places() -> None:
     ends = [(math.nan, 2.0), (0.0, math.inf), (-math.inf, math.nan)]
-    svg = forest_svg([ForestRow("drift", 1.0, interval) for interval in ends] + [ForestRow("level", math.inf)])
+    svg = forest("", [ForestRow("drift", 1.0, interval) for interval in ends] + [ForestRow("level", math.inf)])
     places = re.findall(r'(?:x|x1|x2|cx|y)="([^"]*)"', svg)
     assert not [place for place in places if "nan" in place or "inf" in place]
     assert svg.count('class="interval"') == 1, "from one end of the axis to the other"
     assert "infx ▶" in svg
+    assert "nan" not in svg, "where the pointer rests"

@@ -17,8 +17,7 @@ from insdvl_replay.evaluation.series import dives_ratio, what_settles
 from insdvl_replay.results.folder import result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
-from insdvl_replay.show.dive import track_fit_line
-from insdvl_replay.show.dive_page import dive_document
+from insdvl_replay.show.dive import dive_document, track_fit_line
 from insdvl_replay.show.screens import dive_screen
 from insdvl_replay.show.text import as_markdown
 
