@@ -115,7 +115,10 @@ def unreferenced(used: Tables) -> Tables:
     """Tables of the same dive, had it no reference."""
     return replace(
         used,
-        reference_error=[replace(row, samples=0, status="no reference") for row in used.reference_error],
+        reference_error=[
+            replace(row, samples=0, baseline_rmse=None, rmse=None, status="no reference")
+            for row in used.reference_error
+        ],
         credibility=[replace(row, samples=0, verdict="no reference") for row in used.credibility],
         evidence=[row for row in used.evidence if row.evidence in ("outage", "consistency")],
         drift=[],

@@ -1,7 +1,7 @@
 "use strict";
 /* A cursor over all panels with the same horizontal axis, dots on the tracks, and zoom. Paths are in counts, see
    plot.py: what is read at the cursor are the samples that are drawn, to their printed digits. */
-const ROW = 13, NEAR = 3, DRAG = 5, WAIT_MS = 400;
+const ROW = 13, NEAR = 3, DRAG = 5, WAIT_MS = 400, LOG_COUNTS = 5000, CLOSE = 5;
 const panels = [...document.querySelectorAll("svg.panel")].map(open);
 let cursor = null; // panel and time
 
@@ -17,7 +17,7 @@ function open(svg) {
     labels: ticks.innerHTML,
     unit: factor > 1 ? "s" : unit,
     track: svg.querySelector("[data-t]"),
-    clock: factor && label.startsWith("time [") ? `${label} ${home[0]}` : "", // panels with the same one are linked
+    clock: label.startsWith("time [") ? `${label} ${svg.dataset.x} ${home[0]}` : "", // linked panels have the same
   };
   listen(panel, svg.closest("a") ?? svg);
   return panel;
@@ -56,7 +56,7 @@ function nearest(found, time) {
 
 /** A count to its printed digits: three on a logarithmic axis. */
 function written(count, reading) {
-  if (reading === "log") return String(+(10 ** (count / 5000)).toPrecision(3));
+  if (reading === "log") return String(+(10 ** (count / LOG_COUNTS)).toPrecision(3));
   const decimals = parseInt(reading);
   return (count / 10 ** decimals).toFixed(Math.max(decimals, 0));
 }
@@ -71,12 +71,12 @@ function reading({ svg, track, unit }, { name, kinds, band }, { x, y, time }) {
   return `${name} ${value} ${high ? `${around} ` : ""}at ${across} ${unit}`.trim();
 }
 
-/** Show the cursor in a panel and those that are linked with it; tracks are linked with time. */
+/** Show the cursor in a panel and those that are linked with it; tracks are linked with the time of the dive. */
 function show(panel, time) {
   hide();
   cursor = { panel, time };
-  const clock = panel.track ? panels.find(other => other.clock)?.clock : panel.clock;
-  panels.filter(other => other === panel || (clock && (other.track || other.clock === clock)))
+  const { clock, factor } = panel.track ? panels.find(other => other.clock && other.factor) ?? panel : panel;
+  panels.filter(other => other === panel || (clock && (other.clock === clock || (other.track && factor))))
     .forEach(other => draw(other, time));
 }
 
@@ -124,17 +124,23 @@ function zoom(panel, low, high) {
   }
 }
 
+/** Ticks at round values: on a logarithmic axis at 1, 2 and 5, or as on a linear one between values that are close. */
 function zoomedTicks({ y, height, digits, factor, view }, low, high) {
-  const size = 10 ** digits * factor, rough = (high - low) / size / 6; // counts of a unit; a sixth in units
-  const power = 10 ** Math.floor(Math.log10(rough));
+  const size = 10 ** digits * factor; // counts of a unit, on a linear axis
+  const [first, last] = [low, high].map(count => (factor ? count / size : 10 ** (count / LOG_COUNTS)));
+  const rough = (last - first) / 6, power = 10 ** Math.floor(Math.log10(rough)), values = [];
   const step = power * [1, 2, 2.5, 5, 10].find(digit => digit * power >= rough);
-  let drawn = "";
-  for (let i = Math.ceil(low / size / step); i * step * size <= high; i++) {
-    const x = i * step * size * view[0] + view[1];
-    drawn += `<path class="grid" d="M${x} ${y}v${height}"/>
-      <text class="tick" x="${x}" y="${y + height + ROW}" text-anchor="middle">${+(i * step).toPrecision(9)}</text>`;
+  if (factor || last < CLOSE * first) {
+    for (let i = Math.ceil(first / step); i * step <= last; i++) values.push(i * step);
+  } else {
+    for (let decade = 10 ** Math.floor(Math.log10(first)); decade <= last; decade *= 10) {
+      values.push(...[1, 2, 5].map(digit => digit * decade).filter(value => value >= first && value <= last));
+    }
   }
-  return drawn;
+  return values.map(value => {
+    const x = (factor ? value * size : LOG_COUNTS * Math.log10(value)) * view[0] + view[1];
+    return `<path d="M${x} ${y}v${height}"/><text x="${x}" y="${y + height + ROW}">${+value.toPrecision(9)}</text>`;
+  }).join("");
 }
 
 function listen(panel, link) {
@@ -147,7 +153,7 @@ function listen(panel, link) {
   on("dragstart", event => event.preventDefault());
   on("pointerdown", event => {
     dragged = false;
-    from = event.pointerType !== "touch" && panel.factor && !panel.track ? place(event).x : null;
+    from = event.pointerType !== "touch" && !panel.track ? place(event).x : null;
   });
   on("pointermove", event => {
     const { x, y } = place(event), [scale, offset] = panel.view, [, , , down, , bottom] = panel.home[1];

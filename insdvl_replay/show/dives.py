@@ -246,7 +246,7 @@ def table_alone(outcomes: Sequence[Outcome]) -> DisplayTable:
     """Return the values of filters without candidates, a row for each dive."""
     rows = [row for outcome in outcomes for row in _dive_rows(outcome)]
     columns = (("dive by dive", "l", "dive"), *_ALONE, ("consistency", "l", "consistency"))
-    return table_of("", rows, columns, MEDIAN, spare=(2, 6, 3, 7))
+    return table_of("", rows, columns, MEDIAN, spare=(2, 6, 3, 7), folds=8)
 
 
 def _dive_rows(outcome: Outcome) -> Iterator[dict[str, str]]:

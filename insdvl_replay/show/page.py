@@ -2,9 +2,11 @@
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from hashlib import sha256
 from html import escape as html_escape
 from importlib.resources import files
+from itertools import zip_longest
 from typing import Final
 
 from insdvl_replay.core.errors import visible_lines
@@ -118,13 +120,15 @@ def pictures(panels: Sequence[Panel]) -> str:
 
 
 def _in_grids(parts: Sequence[Part]) -> list[str]:
-    """Render the parts one by one; tables that follow each other share a grid."""
+    """Render the parts one by one; tables that follow each other share a grid, and the last of equal footnotes."""
     lines: list[str] = []
     in_grid = False
-    for part in parts:
+    for part, after in zip_longest(parts, parts[1:]):
         if (isinstance(part, DisplayTable) and part.links is None and not part.folded) != in_grid:
             in_grid = not in_grid
             lines.append('<div class="tables">' if in_grid else "</div>")
+        if in_grid and isinstance(part, DisplayTable) and isinstance(after, DisplayTable):
+            part = replace(part, footnote=part.footnote if part.footnote != after.footnote else "")
         lines.append(_html(part))
     return [*lines, "</div>"] if in_grid else lines
 
@@ -155,7 +159,7 @@ def _html(part: Part) -> str:
 
 def table_html(table: DisplayTable) -> str:
     """Return a table as HTML."""
-    kinds = [' class="r"' if letter == "r" else "" for letter in table.alignment]
+    kinds = ["" if letter == "r" else " class=l" for letter in table.alignment]  # most cells are numbers
     header = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, table.header, strict=True))
     rows = []
     for row, link in zip(table.rows, table.links or [""] * len(table.rows), strict=True):
@@ -163,7 +167,7 @@ def table_html(table: DisplayTable) -> str:
         if link:
             cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
         # A cell of many words is folded.
-        classes = [' class="words"' if len(cell) > _SHORT else kind for kind, cell in zip(kinds, cells, strict=True)]
+        classes = [" class=words" if len(cell) > _SHORT else kind for kind, cell in zip(kinds, cells, strict=True)]
         rows.append("".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(classes, cells, strict=True)))
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     name, colon, rest = table.title.partition(": ")

@@ -151,19 +151,10 @@ def _round_values(low: float, high: float, count: int, *, whole: bool) -> tuple[
 
 
 def _decades(low: float, high: float, count: int) -> Floats:
-    """Find some powers of ten, equally far apart: at multiples of their distance, where that loses none."""
+    """Find at most ``count`` powers of ten, equally far apart: at multiples of their distance."""
     first, last = math.ceil(math.log10(low)), math.floor(math.log10(high))
-    number = last - first + 1
-    shown = min(count, math.ceil(number / (number // (count + 1) + 1)))
-    if shown < 2:
-        return np.asarray(10.0 ** np.arange(first, last + 1))
-    stride = (number - 1) // (shown - 1)
-    if stride * shown < number:
-        stride = number // shown
-    fewest, most = max(number - stride * shown, 0), min(number - stride * (shown - 1), stride)
-    offset = -first % stride
-    begin = first + (offset if fewest <= offset < most else fewest)
-    return np.asarray(10.0 ** np.arange(begin, last + 1, stride))
+    step = math.ceil((last - first + 1) / count) or 1
+    return np.asarray(10.0 ** np.arange(-(-first // step) * step, last + 1, step))
 
 
 # --- Long series are reduced to the lowest and highest value of each column of the panel.
@@ -180,7 +171,7 @@ def envelope(x: Floats, y: Floats, columns: int = COLUMNS) -> NDArray[np.int64]:
     """
     if len(x) <= 2 * columns:
         return np.arange(len(x))
-    column = _column_of(x, columns)
+    column = np.floor((x - x[0]) * (columns / (x[-1] - x[0]))).clip(max=columns - 1.0)
     known = np.flatnonzero(np.isfinite(y))
     by_size = known[np.lexsort((y[known], column[known]))]
     begins = np.diff(column[by_size], prepend=-1.0) > 0.0
@@ -196,11 +187,6 @@ def without_standstill(x: Floats, y: Floats, step: float) -> NDArray[np.int64]:
     moved = np.ones(len(x), dtype=bool)
     moved[1:-1] = (cells[1:-1] != cells[:-2]).any(axis=1)
     return np.flatnonzero(moved)
-
-
-def _column_of(x: Floats, columns: int) -> Floats:
-    column: Floats = np.floor((x - x[0]) * (columns / (x[-1] - x[0])))
-    return column.clip(max=columns - 1.0)
 
 
 # --- Panels.
@@ -239,7 +225,10 @@ def _panel(panel: Panel, place: str, names: Mapping[str, str]) -> str:
             f'<g class="data" transform="matrix({across:.7g} 0 0 {down:.7g} {left:.7g} {top:.7g})">',
             *_content(panel, x_axis, y_axis, names),
             "</g>",
-            *_limit_lines(panel, x_axis, y_axis),
+            *(
+                f'<path class="line limit" d="M{x_axis.start:g} {place:.1f}H{x_axis.end:g}"/>'
+                for place in y_axis.place(np.array(panel.levels))
+            ),
             *_marks(panel, x_axis, y_axis),
             "</svg>",
             *(() if panel.equal else _names(panel, x_axis, y_axis)),
@@ -289,15 +278,13 @@ def _shades(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
 def _grid(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
     """Draw ticks as lines across the panel, with their labels outside."""
     bottom, top, left, right = y_axis.start, y_axis.end, x_axis.start, x_axis.end
-    yield '<g class="ticks">'
-    for place, label in x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X):
-        yield f'<path class="grid" d="M{place:.1f} {top:g}V{bottom:g}"/>'
-        yield f'<text class="tick" x="{place:.1f}" y="{bottom + 13:g}" text-anchor="middle">{label}</text>'
-    yield "</g>"
-    for place, label in y_axis.ticks(_TICKS_Y):
-        yield f'<path class="grid" d="M{left:.1f} {place:.1f}H{right:.1f}"/>'
-        yield f'<text class="tick" x="{left - 5:.1f}" y="{place + 3.5:.1f}" text-anchor="end">{label}</text>'
-    yield f'<text class="label" x="{right:.1f}" y="{bottom + 29:.1f}" text-anchor="end">{escape(panel.x_label)}</text>'
+    across = x_axis.ticks(_TICKS_WHOLE if panel.x_whole else _TICKS_X)
+    yield f'<g class="ticks"><path d="{"".join(f"M{place:.1f} {top:g}V{bottom:g}" for place, _ in across)}"/>'
+    yield from (f'<text x="{place:.1f}" y="{bottom + 13:g}">{label}</text>' for place, label in across)
+    down = y_axis.ticks(_TICKS_Y)
+    yield f'</g><g class="scale"><path d="{"".join(f"M{left:g} {place:.1f}H{right:g}" for place, _ in down)}"/>'
+    yield from (f'<text x="{left - 5:g}" y="{place + 3.5:.1f}">{label}</text>' for place, label in down)
+    yield f'</g><text class="label" x="{right:g}" y="{bottom + 29:g}" text-anchor="end">{escape(panel.x_label)}</text>'
 
 
 def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str]) -> Iterator[str]:
@@ -316,7 +303,8 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
         else:
             rows = without_standstill(*places, step) if panel.equal else envelope(x, y, columns)
             path = _line(x[rows], y[rows])
-        name = curve.name if curve.name is not None else curve.label or _name_of(curve.style, names)
+        of_style = names.get(curve.style, names.get(curve.style.split()[0], ""))
+        name = curve.name if curve.name is not None else curve.label or of_style
         at = ""
         if curve.time is not None:
             at = f' data-t="{_steps_of_time(curve.time[rows[np.isfinite(x[rows] + y[rows])]])}"'
@@ -328,15 +316,6 @@ def _content(panel: Panel, x_axis: Axis, y_axis: Axis, names: Mapping[str, str])
             bands.append(f'<path class="band {looks}" d="{_band_path(x[rows], low, high, closed=not bands)}"/>')
     yield from bands
     yield from lines
-
-
-def _name_of(style: str, names: Mapping[str, str]) -> str:
-    return names.get(style, names.get(style.split()[0], ""))
-
-
-def _limit_lines(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:
-    for place in y_axis.place(np.array(panel.levels)):
-        yield f'<path class="line limit" d="M{x_axis.start:g} {place:.1f}H{x_axis.end:g}"/>'
 
 
 def _marks(panel: Panel, x_axis: Axis, y_axis: Axis) -> Iterator[str]:

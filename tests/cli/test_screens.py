@@ -284,8 +284,8 @@ def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
     dives = [replace(dive, filters={}, tables=replace(dive.tables, evidence=[])) for dive in made]
     lines = screen_lines(rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html"))))
     assert [line.split() for line in lines if line.startswith(("dive 1", "gone"))] == [
-        ["dive", "1", "1.5", "-", "-", "0.3", "-", "1"],
-        ["gone", "failed", *"-----"],
+        ["dive", "1", "1.5", "-", "0.3", "-", "consistent"],
+        ["gone", *"----", "failed"],
     ]
     assert index_page(dives).count(b"report.html") == 2
     assert [row.log for row in summary_rows(dives)] == ["dive 0", "dive 1"]
@@ -362,7 +362,7 @@ def test_tables_of_several_dives_are_one_in_every_format(
     assert [row["log"] for row in found["summary"]] == ["a", "b"]
     assert run_command_line([*run, "--table", "summary", "--format", "csv"]) == 0
     assert capsys.readouterr().out == Path("replay", "summary.csv").read_text()
-    for format_, begin in (("table", "Summary: position [m]"), ("md", "| a | "), ("html", "<td>a</td>")):
+    for format_, begin in (("table", "Summary: position [m]"), ("md", "| a | "), ("html", "<td class=l>a</td>")):
         assert run_command_line([*run, "--table", "summary", "--table", "pooled", "--format", format_]) == 0
         printed = capsys.readouterr().out
         assert begin in printed

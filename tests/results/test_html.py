@@ -259,6 +259,23 @@ def test_a_long_dive_stays_small_and_shows_its_outage(tmp_path: Path) -> None:
     assert b"94.4 %" in data
 
 
+@pytest.mark.nightly
+def test_a_page_of_eight_filters_stays_small(tmp_path: Path) -> None:
+    """Longer series than a panel has columns, accelerations, an outage: all figures that there are, and all tables."""
+    dive = simulate_dive("lawnmower", seed=3, duration_s=1200.0, outages=[(1000.0, 1060.0)])
+    settings = ["filters.aided.acceleration.window=3"]
+    for number in range(1, 5):
+        settings += [f"filters.sd_{number}.{key}" for key in ("aiding=['velocity']", f"velocity_sd_mps={number / 500}")]
+    for window in (4, 5):
+        keys = ("aiding=['velocity', 'acceleration']", f"acceleration.window={window}")
+        settings += [f"filters.window_{window}.{key}" for key in keys]
+    replay = replay_dive(dive, load_config(overrides=settings))
+    assert len(replay.histories) == 8
+    document, _, data = saved(replay, tmp_path / "eight")
+    assert "Convergence" in document.texts["strong"]
+    assert len(data) < 590_000, "with room for notes and channels"
+
+
 def test_a_short_dive_stays_small(result: tuple[Document, Report, bytes]) -> None:
     assert len(result[2]) < 600_000
 

@@ -50,7 +50,7 @@ def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
 def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
     alone = report(used=unreferenced(tables()))
     heads = [Document(index_page(outcomes).decode()).texts["tr"][0] for outcomes in ([alone], [alone, report("two")])]
-    assert "evidence" in heads[0]
+    assert "verdict" in heads[0]
     assert "position" not in heads[0]
     assert "position" in heads[1], "one dive with a reference is enough"
 

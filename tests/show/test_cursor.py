@@ -31,7 +31,7 @@ READ = re.compile(r"^(\w+) (\S+)(?: ±(\S+))? at (\S+) s$")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     output = tmp_path_factory.mktemp("cursor")
-    assert run_command_line(["run", str(SAMPLE), "-o", str(output), "--history", "csv", "--starts", "2"]) == 0
+    assert run_command_line(["run", str(SAMPLE), "-o", str(output), "--history", "csv", "--starts", "8"]) == 0
     return output / "figure_eight"
 
 
@@ -207,6 +207,38 @@ def test_a_drag_zooms_all_panels_over_time_alike_and_a_double_click_restores_the
     assert browser.value(views) == before
     time.sleep(0.6)
     assert browser.value("location.hash") == "", "a double click does not enlarge"
+
+
+def test_a_drag_zooms_the_panels_over_logarithmic_time_alike_and_no_others(browser: Browser) -> None:
+    views = f"""(() => {{ {FIND} return panels.map(s => [s.dataset.x === "log" && s.querySelector(".label").textContent,
+        s.querySelector(".data").getAttribute("transform"),
+        [...s.querySelectorAll(".ticks text")].map(t => t.textContent).join(" ")]); }})()"""
+    before = browser.value(views)
+    over_time = [view[0] == "time [s]" for view in before]
+    assert over_time.count(True) == 3
+    point(browser, "convergence-1", 0.3)
+    assert readings(browser, TRACK) == [], "a time since a random start is none of the dive"
+    assert readings(browser, "convergence-2")
+    drag(browser, "convergence-1", 0.25, 0.75)
+    after = browser.value(views)
+    assert [was != now for was, now in zip(before, after, strict=True)] == over_time
+    (zoomed,) = {(view[1].split()[0], view[2]) for view, is_log in zip(after, over_time, strict=True) if is_log}
+    (home,) = {view[1].split()[0] for view, is_log in zip(before, over_time, strict=True) if is_log}
+    across, ticks = zoomed
+    assert float(across[7:]) == pytest.approx(2.0 * float(home[7:]), rel=0.03)
+    assert ticks == "5 10 20 50"
+    point(browser, "convergence-1", 0.99)
+    last_s = float(readings(browser, "convergence-1")[0].split(" at ")[1].split()[0])
+    drag(browser, "convergence-1", 0.9, 1.0)
+    closer = browser.value(views)
+    assert len(closer[over_time.index(True)][2].split()) > 2, "round values, linear steps between close ones"
+    point(browser, "convergence-1", 0.99)
+    assert float(readings(browser, "convergence-1")[0].split(" at ")[1].split()[0]) == pytest.approx(last_s, rel=0.04)
+    browser.value(
+        'document.querySelector("#convergence-1 svg.panel")'
+        '.dispatchEvent(new MouseEvent("dblclick", {bubbles: true, cancelable: true}))'
+    )
+    assert browser.value(views) == before
 
 
 def test_a_click_enlarges_and_the_large_panel_has_a_cursor(browser: Browser) -> None:

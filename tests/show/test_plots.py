@@ -5,7 +5,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 
 from insdvl_replay.core.result import Curve, Panel, filter_style
 from insdvl_replay.show.plot import Axis, envelope, limits, panel_svg, without_standstill
@@ -170,9 +170,20 @@ def test_ticks_are_those_of_matplotlib(count: int) -> None:
         if span > 1e-6 * abs(low):
             theirs = MaxNLocator(count, steps=(1, 2, 2.5, 5, 10)).tick_values(low, low + span)
             assert_same_ticks(Axis(low, low + span, 0.0, 1.0), count, theirs)
-        bottom, decades = 10.0 ** rng.uniform(-12, 12), 10.0 ** rng.uniform(0.1, 20)
-        theirs = LogLocator(numticks=count).tick_values(bottom, bottom * decades)
-        assert_same_ticks(Axis(bottom, bottom * decades, 0.0, 1.0, "log"), count, theirs)
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_ticks_of_a_logarithmic_axis_are_powers_of_ten_equally_far_apart(count: int) -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(2000):
+        low, decades = 10.0 ** rng.uniform(-12, 12), rng.uniform(0.1, 20)
+        axis = Axis(low, low * 10.0**decades, 0.0, 1.0, "log")
+        powers = [float(np.log10(float(label))) for _, label in axis.ticks(count)]
+        assert powers == pytest.approx(np.rint(powers))
+        assert len(set(np.diff(powers).round(6))) <= 1
+        assert min(1, int(decades)) <= len(powers) <= count
+        assert decades < 2.0 or len(powers) > 1
+        assert [place for place, _ in axis.ticks(count)] == pytest.approx((powers - np.log10(low)) / decades)
 
 
 @pytest.mark.parametrize(("high", "labels"), [(3, "123"), (4, "1234"), (9, "123456789")])
