@@ -35,7 +35,7 @@ from insdvl_replay.core.result import (
 from insdvl_replay.core.tables import TABLES, Number, each_table, finite
 from insdvl_replay.core.words import ReferenceStatus, Verdict
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
-from insdvl_replay.show.answers import TONES, answer_on_dive, as_shown, has_reference, of_filter, prediction_word
+from insdvl_replay.show.answers import TONES, answer_on_dive, as_shown, has_reference, of_filter
 from insdvl_replay.show.document import MISSING, ShownColumn, notes_table, number, percent, shown, significant, table_of
 from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
 from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
@@ -49,25 +49,6 @@ SPECIFIED: Final = (
     "of distance: final horizontal error. CEP50, CEP95: 50 % and 95 % of the horizontal errors of this run are "
     "smaller. without DVL: median drift in the DVL outage test, measured by the held-out velocities."
 )
-
-
-def heading(report: Report) -> str:
-    """Return a line with what was replayed, and the verdict and prediction of each candidate."""
-    texts = [replayed(report)]
-    for name, candidate in report.filters.items():
-        loud = candidate.verdict in (Verdict.WORSE, Verdict.NOT_EVALUATED)
-        word = candidate.verdict.upper() if loud else candidate.verdict
-        if candidate.verdict != Verdict.NOT_EVALUATED:
-            confirmed = prediction_word(candidate.mean_improvement_pct, candidate.prediction)
-            word = f"{word}; {percent(candidate.mean_improvement_pct)} predicted{confirmed and f', {confirmed}'}"
-        texts.append(f"{name}: {word}")
-    return "; ".join(texts)
-
-
-def replayed(report: Report) -> str:
-    """Return the title of a replay."""
-    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
-    return f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"
 
 
 # --- Tables.
@@ -335,9 +316,11 @@ def dive_document(
     tables += named("consistency", "innovations", "credibility")
     verdicts = (Callout(candidate.sentence, TONES.get(candidate.verdict, "")) for candidate in report.filters.values())
     headline = list(headline_table(report, "This run: position error and drift without DVL", SPECIFIED))
+    candidates = f"{', '.join(report.filters)} against " if report.filters else ""
     return [
-        Only(PRINTED, (Title(heading(report)), *verdicts, *headline)),
-        Only(PAGE, (Title(replayed(report)), *_first_screen(report, panels, headline), *by_candidate)),
+        Title(f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"),
+        Only(PRINTED, (*verdicts, *headline)),
+        Only(PAGE, (*_first_screen(report, panels, headline), *by_candidate)),
         *([] if report.filters else [line_alone(report)]),
         *track_fit_line(report),
         *([] if has_reference(report) else [NO_REFERENCE]),
