@@ -44,14 +44,15 @@ _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 
 
-class _Label(msgspec.Struct):
-    """The fields of a report that name its tool and files."""
+class Label(msgspec.Struct):
+    """The fields that identify a report: reports of dives have no kind."""
 
-    tool: dict[str, str | float | None]
+    tool: dict[str, str | float | None] = {}
+    kind: str | None = None
     files: dict[str, str] = {}
 
 
-_LABELS: Final = msgspec.json.Decoder(_Label)  # made before threads use it
+LABELS: Final = msgspec.json.Decoder(Label)  # made before threads use it
 
 
 def history_file(name: str, format_: str) -> str:
@@ -236,7 +237,7 @@ def is_result(folder: Path) -> bool:
     if not (folder / COMPLETE).is_file():
         return False
     try:
-        label = _LABELS.decode((folder / COMPLETE).read_bytes())
+        label = LABELS.decode((folder / COMPLETE).read_bytes())
     except (OSError, *NOT_JSON):
         return True
     return label.tool.get("name", TOOL) == TOOL
@@ -248,11 +249,11 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     A report that was damaged does not list them: a folder with all files of a dive's result is one nevertheless.
     """
     try:
-        label = _LABELS.decode(read_file(folder / COMPLETE))
+        label = LABELS.decode(read_file(folder / COMPLETE))
     except (OSError, *NOT_JSON):
-        label = _Label(tool={})
-    if label.files and label.tool.get("name") == TOOL:
-        return {COMPLETE, *label.files}
+        label = Label()
+    if label.tool.get("name") == TOOL:
+        return {COMPLETE, *(label.files or DIVE_FILES)}
     # Checks do not write these.
     needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None

@@ -1,7 +1,7 @@
 """A replay on disk: the files of a result folder."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -84,29 +84,25 @@ def viewer_layouts(filters: Sequence[str]) -> dict[str, str]:
 
 def run_log(report: Report) -> str:
     """Return what was read and noticed, a line each; no time of day, so that it can be compared."""
-    return "".join(f"{visible(line)}\n" for line in _log_lines(report))
-
-
-def _log_lines(report: Report) -> Iterator[str]:
     log = report.log
-    yield f"{report.tool.name} {report.tool.version}"
-    yield f"log {log.name}, sha256 {log.sha256 or 'none'}"
+    lines = [f"{report.tool.name} {report.tool.version}", f"log {log.name}, sha256 {log.sha256 or 'none'}"]
     for channel in log.channels:
-        role = channel.role or "not used"
-        yield f"channel {channel.topic} ({channel.type_name}, {channel.encoding}): {channel.messages} messages, {role}"
-    yield f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock"
+        kind, role = f"({channel.type_name}, {channel.encoding})", channel.role or "not used"
+        lines.append(f"channel {channel.topic} {kind}: {channel.messages} messages, {role}")
+    lines.append(f"replay {log.duration_s:.3f} s, from {log.start_ns} ns to {log.end_ns} ns on the log's clock")
     for row in report.tables.consistency:
         if row.measurement.startswith(HELD_OUT):
             sensor = row.measurement.removeprefix(HELD_OUT)
-            yield f"filter {row.filter}: {row.rejected} readings of {sensor} held out, used only for comparison"
+            lines.append(f"filter {row.filter}: {row.rejected} readings of {sensor} held out, used only for comparison")
         elif is_whole(row.measurement):
-            yield f"filter {row.filter}: {row.used} {row.measurement} updates, {row.rejected} rejected by the gate"
-    yield from (candidate.sentence for candidate in report.filters.values())
-    if not has_reference(report):
-        yield NO_REFERENCE
+            rejected = f"{row.rejected} rejected by the gate"
+            lines.append(f"filter {row.filter}: {row.used} {row.measurement} updates, {rejected}")
+    lines += [candidate.sentence for candidate in report.filters.values()]
+    lines += [] if has_reference(report) else [NO_REFERENCE]
     for note in report.notes:
         hint = f" (hint: {note.hint})" if note.hint else ""
-        yield f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}"
+        lines.append(f"{note.severity} {note.code} [{note.count}]: {note.text}{hint}")
+    return "".join(f"{visible(line)}\n" for line in lines)
 
 
 def save_histories(replay: Replay, folder: Path, format_: str) -> None:

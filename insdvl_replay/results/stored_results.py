@@ -11,16 +11,9 @@ from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
-from insdvl_replay.results.folder import COMPLETE, NOT_JSON, read_file
+from insdvl_replay.results.folder import COMPLETE, LABELS, NOT_JSON, Label, read_file
 
 _Kind = TypeVar("_Kind")
-
-
-class _Label(msgspec.Struct):
-    """The fields that identify a report."""
-
-    kind: str | None = None
-    tool: dict[str, str | float | None] = {}
 
 
 def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
@@ -82,10 +75,10 @@ def _refuse(error: OSError) -> NoReturn:
 
 def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
     """Read one report; None for a study."""
-    label = _Label()
+    label = Label()
     try:
         data = read_file(file)
-        label = msgspec.json.decode(data, type=_Label)
+        label = LABELS.decode(data)
         if label.kind is not None:
             return None
         report = msgspec.json.decode(data, type=kind)

@@ -108,17 +108,18 @@ def table_of(
     """Return a table with a row for each of ``rows``: objects, mappings, or those of a frame."""
     listed: list[Any] = rows.to_dict("records") if hasattr(rows, "to_dict") else list(rows)
     get: Callable[[str], Callable[[Any], Any]] = itemgetter if listed and isinstance(listed[0], dict) else attrgetter
-    texts = [_text(*text.partition(":"), get) if isinstance(text, str) else text for _, _, text in columns]
-    cells = tuple(tuple(text(row) for text in texts) for row in listed)
+
+    def text_of(row: Any, written: Callable[[Any], CellText] | str) -> CellText:
+        if not isinstance(written, str):
+            return written(row)
+        key, _, form = written.partition(":")
+        return FORMS[form](get(key)(row))
+
+    cells = tuple(tuple(text_of(row, written) for _, _, written in columns) for row in listed)
     alignment = "".join(letter for _, letter, _ in columns)
     return DisplayTable(
         title, tuple(head for head, _, _ in columns), alignment, cells, footnote, spare=spare, folds=folds
     )
-
-
-def _text(key: str, _: str, form: str, get: Callable[[str], Callable[[Any], Any]]) -> Callable[[Any], CellText]:
-    value, write = get(key), FORMS[form]
-    return lambda row: write(value(row))
 
 
 def shown(kind: type[Struct], rows: Iterable[Struct], footnote: str = "", **names: str) -> DisplayTable:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, seconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.result import (
     LIMIT,
@@ -44,8 +44,8 @@ _CONSTANT: Final = 0.5  # Values that fall to no less than this share of the lar
 _COMPLETE: Final = 0.98  # Share of the dive from which a curve is of all of it.
 _MISSING: Final = 2.5  # A gap is longer than this many usual steps.
 _WIDEST: Final = 1.5  # A panel shows a band up to this many times the largest error, so that errors fill the panel.
-# Least length, size and name of each unit.
-_UNITS: Final = ((2 * 3600.0, 3600.0, "h"), (20 * 60.0, 60.0, "min"), (0.0, 1.0, "s"))
+# By unit of a time axis its size, and the length from which it is used, in seconds.
+_UNITS: Final = {"h": (3600.0, 2 * 3600.0), "min": (60.0, 20 * 60.0), "s": (1.0, 0.0)}
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,15 @@ class Clock:
     end_ns: int
 
     @property
+    def unit(self) -> str:
+        """The unit of a time axis."""
+        length_s = (self.end_ns - self.start_ns) * 1e-9
+        return next(unit for unit, (_, least_s) in _UNITS.items() if length_s >= least_s)
+
+    @property
     def label(self) -> str:
         """The label of a time axis."""
         return f"time [{self.unit}]"
-
-    @property
-    def unit(self) -> str:
-        """The unit of a time axis."""
-        return self._unit[1]
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -72,12 +73,7 @@ class Clock:
 
     def time(self, time_ns: TimeNs) -> Floats:
         """Return times since the start in the axis's unit, shape (k,)."""
-        return seconds(time_ns, self.start_ns) / self._unit[0]
-
-    @property
-    def _unit(self) -> tuple[float, str]:
-        length_s = (self.end_ns - self.start_ns) * 1e-9
-        return next((size, name) for least, size, name in _UNITS if length_s >= least)
+        return seconds(time_ns, self.start_ns) / _UNITS[self.unit][0]
 
 
 def replay_figures(replay: Replay) -> tuple[Figure, ...]:
@@ -346,33 +342,29 @@ def nis_figure(histories: Sequence[History], clock: Clock, interval: Callable[[i
 # --- The vehicle: its track, its motion, its accelerations.
 
 
-def _ned_m(position: Floats, origin: Floats) -> Floats:
-    return north_east_down_m(position, np.broadcast_to(origin, position.shape))
+def _tracks(replay: Replay) -> list[tuple[TimeNs, Floats, Curve]]:
+    """Return times, positions and the track from above of each filter and of the reference.
 
-
-def _reference_track(replay: Replay) -> tuple[TimeNs, Floats] | None:
-    """Return times and positions, from the baseline's start, of the reference inside the replay."""
+    Positions count from where the baseline starts.
+    """
+    named: list[tuple[str, str, History | ReferenceColumns]]
+    named = [(history.filter, filter_style(n), history) for n, history in enumerate(replay.histories)]
     reference = replay.dive.reference
-    if reference is None or not reference.has_position:
-        return None
-    inside = (reference.time_ns >= replay.start_ns) & (reference.time_ns <= replay.end_ns)
-    return reference.time_ns[inside], _ned_m(reference.position[inside], replay.histories[0].position[0])
+    if reference is not None and reference.has_position:
+        named.append((REFERENCE, REFERENCE, reference.within(replay.start_ns, replay.end_ns)))
+    tracks = []
+    for name, style, motion in named:
+        origin = np.broadcast_to(replay.histories[0].position[0], motion.position.shape)
+        ned_m, time_s = north_east_down_m(motion.position, origin), seconds(motion.time_ns, replay.start_ns)
+        tracks.append((motion.time_ns, ned_m, Curve(ned_m[:, 1], ned_m[:, 0], style, label=name, time=time_s)))
+    return tracks
 
 
 def _motion_figure(replay: Replay, clock: Clock) -> Figure:
     """Draw the tracks from above and over time, and the motion by the baseline."""
-    baseline = replay.histories[0]
-    tracks = [
-        (history.filter, filter_style(number), history.time_ns, _ned_m(history.position, baseline.position[0]))
-        for number, history in enumerate(replay.histories)
-    ]
-    if (known := _reference_track(replay)) is not None:
-        tracks.append(("reference", REFERENCE, *known))
-    above = [
-        Curve(ned_m[:, 1], ned_m[:, 0], style, time=seconds(time_ns, replay.start_ns))
-        for _, style, time_ns, ned_m in tracks
-    ]
-    down = [Curve(clock.time(time_ns), ned_m[:, 2], style) for _, style, time_ns, ned_m in tracks]
+    baseline, tracks = replay.histories[0], _tracks(replay)
+    above = [replace(curve, label="") for _, _, curve in tracks]
+    down = [Curve(clock.time(time_ns), ned_m[:, 2], curve.style) for time_ns, ned_m, curve in tracks]
     speed_mps = np.hypot(baseline.velocity_n[:, 0], baseline.velocity_n[:, 1])
     # The turn rate is from ping to ping, where the states are far enough apart for a rate.
     pings = np.flatnonzero(baseline.updated)
@@ -390,7 +382,7 @@ def _motion_figure(replay: Replay, clock: Clock) -> Figure:
             Panel("turn rate of the heading [deg/s]", clock.label, (turn_rate,)),
             Panel("depth below the start [m]", clock.label, dashes_on_top(down)),
         ),
-        tuple((style, name) for name, style, _, _ in tracks),
+        tuple((curve.style, curve.label) for _, _, curve in tracks),
     )
 
 
@@ -400,31 +392,26 @@ SEEN: Final = 0.08  # Share of the size of a track that its largest error is dra
 
 def track_panel(replay: Replay) -> Panel:
     """Draw the tracks from above; with a reference, their errors magnified so that they are seen."""
-    histories, known = list(replay.histories), _reference_track(replay)
+    tracks = _tracks(replay)
+    times_ns, ned_m, reference = tracks[-1]
     errors = {name: found for name, found in replay.errors.items() if np.isfinite(found.position_error_ned_m).any()}
-    if known is None or not errors:
-        origin = histories[0].position[0]
-        drawn = []
-        for number, history in enumerate(histories):
-            time_s, ned_m = seconds(history.time_ns, replay.start_ns), _ned_m(history.position, origin)
-            drawn.append(Curve(ned_m[:, 1], ned_m[:, 0], filter_style(number), label=history.filter, time=time_s))
+    if not errors:
+        drawn = [curve for _, _, curve in tracks if curve.style != REFERENCE]
         return Panel("track: north [m] over east [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True)
-    times_ns, ned_m = known
     size_m = max(float(np.ptp(axis[np.isfinite(axis)])) for axis in (ned_m[:, 1], ned_m[:, 0]))
     largest_m = max(float(np.nanmax(np.abs(found.position_error_ned_m[:, :2]))) for found in errors.values())
     wanted = SEEN * size_m / largest_m if largest_m > 0.0 else 1.0
     steps = [digit * 10.0**power for power in range(7) for digit in (1.0, 2.0, 5.0)]
     times = max((step for step in steps if step <= wanted), default=1.0)
     drawn = []
-    for number, history in enumerate(histories):
+    for number, history in enumerate(replay.histories):
         if (found := errors.get(history.filter)) is not None:
             rows = np.clip(np.searchsorted(times_ns, found.time_ns), 0, len(times_ns) - 1)
             off = ned_m[rows] + times * found.position_error_ned_m
             style = f"{filter_style(number)}{f' {MAGNIFIED}' if times > 1.0 else ''}"
             time_s = seconds(found.time_ns, replay.start_ns)
             drawn.append(Curve(off[:, 1], off[:, 0], style, label=history.filter, time=time_s))
-    reference_s = seconds(times_ns, replay.start_ns)
-    drawn.append(Curve(ned_m[:, 1], ned_m[:, 0], REFERENCE, label="reference", time=reference_s))
+    drawn.append(reference)
     much = f", errors {times:g} times as large" if times > 1.0 else ""
     return Panel(f"track{much}: north [m]", "east [m]", dashes_on_top(drawn), equal=True, low=True)
 
@@ -532,8 +519,7 @@ def coverage_strips(replay: Replay) -> str:
             f'<svg class="strip" viewBox="0 0 {_COLUMNS} {_HEIGHT}" preserveAspectRatio="none">'
             f'<path d="M0 {_HEIGHT}{steps}H{_COLUMNS}V{_HEIGHT}Z"/></svg>'
         )
-    whole = float(clock.time(np.array([clock.end_ns]))[0])
-    ticks = [*Axis(0.0, whole, 0.0, 100.0).ticks(_TICKS), (100.0, clock.label)]
+    ticks = [*Axis(*clock.limits, 0.0, 100.0).ticks(_TICKS), (100.0, clock.label)]
     times = "".join(
         f'<text class="tick" x="{at:.1f}%" y="{28 if at == 100.0 else 12}" '
         f'text-anchor="{"end" if at > _RIGHTMOST else "middle"}">{label}</text>'

@@ -103,8 +103,6 @@ def result_json(result: Result) -> bytes:
 
 
 def _records(table: Any) -> list[dict[str, Any]]:
-    if isinstance(table, Sequence):
-        return [msgspec.structs.asdict(row) for row in table]
     header, rows = header_and_rows(table)
     return [{str(column): value for column, value in zip(header, row, strict=True)} for row in rows]
 

@@ -278,78 +278,61 @@ def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
 
 def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, AnyCandidate]) -> DisplayTable:
     """Return a row for each dive: of each candidate the ratio and verdict in the quantity that decided over dives."""
-    reports, chosen, footnotes = reports_of(outcomes), list(outcomes), list[str]()
-    names = candidate_names(reports)
-    quantities = {name: _quantity(name, reports, answers) for name in names}
-    found = {
-        report.log.name: {row.filter: row for row in report.tables.evidence if row.quantity == quantities[row.filter]}
-        for report in reports
-    }
-    if len(outcomes) > MOST_DIVES:
-        largest = {dive: max(finite(row.ratio) for row in rows.values()) for dive, rows in found.items() if rows}
+    reports, names, footnotes = reports_of(outcomes), candidate_names(reports_of(outcomes)), list[str]()
+    quantities, found = dict[str, str](), dict[tuple[str, str], EvidenceRow]()
+    for name in names:
+        rows = [(report.log.name, row) for report in reports for row in of_filter(name, report.tables.evidence)]
+        # The quantity that decided over the dives, or could have; else the first evidence of a dive.
+        spoken = spoken_rows(answers[name]) if name in answers else []
+        others = (row for _, row in rows if row.evidence != CONSISTENCY)
+        quantities[name] = next((row.quantity for row in (*spoken, *others)), "")
+        found |= {(dive, name): row for dive, row in rows if row.quantity == quantities[name]}
+    dives = {outcome.log if isinstance(outcome, Failure) else outcome.log.name: outcome for outcome in outcomes}
+    if len(dives) > MOST_DIVES:
+        largest = {dive: max(finite(row.ratio) for (log, _), row in found.items() if log == dive) for dive, _ in found}
         worst = sorted(largest, key=lambda dive: -largest[dive])[:WORST]
-        failed = [outcome.log for outcome in outcomes if isinstance(outcome, Failure)][:MOST_FAILED]
-        chosen = [outcome for outcome in outcomes if _dive_name(outcome) in (*failed, *worst)]
-        left_out = len(outcomes) - len(chosen)
+        failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)][:MOST_FAILED]
+        dives = {dive: outcome for dive, outcome in dives.items() if dive in (*failed, *worst)}
+        left_out = len(outcomes) - len(dives)
         footnotes.append(f"failed dives and the {WORST} largest ratios; {left_out} more are on the page")
-    chosen.sort(key=lambda outcome: natural_key(_dive_name(outcome)))
-    rows = tuple(_dive_cells(outcome, names, found.get(_dive_name(outcome), {})) for outcome in chosen)
-    accuracy = [row for dive in found.values() for row in dive.values() if row.evidence == "accuracy"]
-    footnotes.insert(0, over_starts(max((row.starts for row in accuracy), default=0)))
+    footnotes.insert(
+        0, over_starts(max((row.starts for row in found.values() if row.evidence == "accuracy"), default=0))
+    )
+    shown = {
+        dive: [_dive_cells(dives[dive], name, found.get((dive, name))) for name in names]
+        for dive in sorted(dives, key=natural_key)
+    }
     if len(names) == 1:
         [(name, quantity)] = quantities.items()
-        unit = next((f" [{row.unit}]" for dive in found.values() for row in dive.values()), "")
+        cells = tuple((dive, *own) for dive, (own,) in shown.items())
+        unit = next((f" [{row.unit}]" for row in found.values()), "")
         footnotes.insert(1, "all dives: the median of the values" if name in answers else "")
-        if any(row[3] != MISSING == row[4] for row in rows):
+        if any(row[3] != MISSING == row[4] for row in cells):
             footnotes.append(f"-: fewer than {FEWEST_SHOWN} effective samples")
         header = (label(quantity), f"{baseline_names(reports)}{unit}", f"{name}{unit}", "ratio", "on this dive", "", "")
-        end, folds = len(header) if any(row[-1] for row in rows) else -1, FOLDED * any(": " in row[5] for row in rows)
-        cells, footnote = tuple(row[:end] for row in rows), "; ".join(filter(None, footnotes))
+        end, folds = len(header) if any(row[-1] for row in cells) else -1, FOLDED * any(": " in row[5] for row in cells)
+        cells, footnote = tuple(row[:end] for row in cells), "; ".join(filter(None, footnotes))
         return DisplayTable("", header[:end], "lrrrrll"[:end], cells, footnote, spare=((1, 2), 4), folds=folds)
     is_same = len(set(quantities.values())) == 1
-    heads = [head for name in names for head in (name if is_same else f"{name}\n{label(quantities[name])}", "")] or [""]
+    heads = [head for name in names for head in (name if is_same else f"{name}\n{label(quantities[name])}", "")]
     first = label(quantities[names[0]]) if is_same else "dive by dive"
-    words = tuple(range(len(heads), 0, -2)) if len(names) > MOST_COLUMNS else ()
-    alignment = f"l{'rl' * len(names) or 'l'}"
-    return DisplayTable("", (first, *heads), alignment, rows, "; ".join(filter(None, footnotes)), spare=words)
+    verdicts = tuple(range(len(heads), 0, -2)) if len(names) > MOST_COLUMNS else ()
+    cells = tuple((dive, *(text for own in rows for text in (own[2], own[4]))) for dive, rows in shown.items())
+    alignment, footnote = f"l{'rl' * len(names)}", "; ".join(filter(None, footnotes))
+    return DisplayTable("", (first, *heads), alignment, cells, footnote, spare=verdicts)
 
 
-def _dive_name(outcome: Outcome) -> str:
-    return outcome.log if isinstance(outcome, Failure) else outcome.log.name
-
-
-def _dive_cells(outcome: Outcome, names: Sequence[str], rows: Mapping[str, EvidenceRow]) -> tuple[str, ...]:
-    """Write a dive: values, ratio, interval and verdicts of one candidate, ratios and verdicts of several."""
-    if isinstance(outcome, Failure):
-        failed = [*[MISSING] * 4, FAILED, ""] if len(names) == 1 else [MISSING, FAILED] * len(names) or [FAILED]
-        return (outcome.log, *failed)
-    cells = [outcome.log.name, *([] if names else [MISSING])]
-    for name in names:
-        row = rows.get(name)
-        texts, verdicts = [MISSING] * 4, _verdict_cells(outcome, name, row)
-        if row is not None and outcome.filters[name].verdict != Verdict.NOT_EVALUATED:
-            values = (significant(row.baseline, 3), significant(row.value, 3))
-            texts = [*values, ratio_text(row.ratio), interval_text(row)]
-        cells += [*texts, *verdicts] if len(names) == 1 else [texts[2], verdicts[0]]
-    return tuple(cells)
-
-
-def _quantity(name: str, reports: Sequence[Report], answers: Mapping[str, AnyCandidate]) -> str:
-    """Return the quantity that decided over the dives, or could have; else the first evidence of a dive."""
-    spoken = spoken_rows(answers[name]) if name in answers else []
-    rows = (row for report in reports for row in of_filter(name, report.tables.evidence) if row.evidence != CONSISTENCY)
-    return next((row.quantity for row in (*spoken, *rows)), "")
-
-
-def _verdict_cells(report: Report, name: str, row: EvidenceRow | None) -> tuple[str, str]:
-    """Write the verdict of a row, and that of the whole dive with its evidence if it is another."""
-    if name not in report.filters:
-        return MISSING, ""
-    answer = answer_on_dive(report, name)
+def _dive_cells(outcome: Outcome, name: str, row: EvidenceRow | None) -> tuple[str, ...]:
+    """Write of a candidate on a dive both values, ratio, interval and verdict, and the dive's if it is another."""
+    if isinstance(outcome, Failure) or name not in outcome.filters:
+        return *[MISSING] * 4, FAILED if isinstance(outcome, Failure) else MISSING, ""
+    answer = answer_on_dive(outcome, name)
     if answer.verdict == Verdict.NOT_EVALUATED:
-        return shouted(answer.verdict), ""
-    own = MISSING
-    if row is not None:
-        own = row.verdict if interval_text(row) == MISSING else verdict_with_reason(row)
-    other = answer.verdict if row is None or answer.verdict != row.verdict else ""
-    return own, f"{shouted(other)} by {evidence_text(answer)}" if other and answer.spoken else ""
+        return *[MISSING] * 4, shouted(answer.verdict), ""
+    is_other = answer.spoken and (row is None or answer.verdict != row.verdict)
+    other = f"{shouted(answer.verdict)} by {evidence_text(answer)}" if is_other else ""
+    if row is None:
+        return *[MISSING] * 5, other
+    values, interval = (significant(row.baseline, 3), significant(row.value, 3)), interval_text(row)
+    own = row.verdict if interval == MISSING else verdict_with_reason(row)
+    return *values, ratio_text(row.ratio), interval, own, other
