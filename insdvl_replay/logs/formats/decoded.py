@@ -1,7 +1,7 @@
-"""Columns of chosen fields from messages that are decoded one by one: protobuf, JSON and JSON5.
+"""Columns of chosen fields from messages that are decoded one by one: protobuf and JSON.
 
 Sources: https://protobuf.dev/programming-guides/encoding/ and https://mcap.dev/spec/registry for protobuf, whose logs
-describe their types themselves; https://spec.json5.org for what recorders on vehicles write where JSON has no word.
+describe their types themselves.
 """
 
 import math
@@ -236,6 +236,7 @@ _MOST_FAILURES: Final = 20  # searches in vain before one message is taken for a
 _DEEPEST: Final = 32  # levels of structures within structures that are looked at
 _FIRST: Final = ("sec", "nsec", "nanosec", "x", "y", "z", "w")  # of members, which have no order, these come last
 _DECODER: Final = msgspec.json.Decoder()
+_NO_NUMBER: Final = re.compile(rb"(?<=[:,\[])\s*[+-]?(?:NaN|Infinity)(?=[\s,}\]])")
 _UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
@@ -260,17 +261,13 @@ class JsonReader(DecodedFields):
 
 
 def _decoded(message: memoryview) -> Any:
-    try:
+    """Decode a message; in JSON5, as BlueOS records it, NaN and infinities are null."""
+    with suppress(*_UNREADABLE):
         return _DECODER.decode(message)
-    except _UNREADABLE:
-        pass
-    with suppress(*_UNREADABLE):  # JSON5, as BlueOS records it
-        return _DECODER.decode(without_nan(bytes(message)))
     try:
-        return _DECODER.decode(as_json(bytes(message).decode("utf-8")))
+        return _DECODER.decode(_NO_NUMBER.sub(b"null", bytes(message)))
     except _UNREADABLE as error:
-        what = f"a message of {len(message)} bytes is neither JSON nor JSON5: {error}"
-        raise LogError(what, "the log is damaged") from error
+        raise LogError(f"a message of {len(message)} bytes is not JSON: {error}", "the log is damaged") from error
 
 
 def _member(structure: Any, name: str, shape: Shape) -> Any:
@@ -330,68 +327,3 @@ def _merged(shape: Shape, example: Shape) -> Shape:
     for name, inner in example.fields.items():
         fields[name] = _merged(fields.get(name, Shape(TEXT)), inner)
     return Shape(_STRUCTURE, _object(fields).fields, shape.is_list, shape.may_be_absent)
-
-
-# --- JSON5: names without quotes, single quotes, comments, a comma behind the last member, .5, +1, 0xff, NaN.
-
-_TOKEN: Final = re.compile(
-    r"""(?P<text>"(?:[^"\\]|\\.)*"?)
-    | (?P<single>'(?:[^'\\]|\\.)*(?P<closed>')?)
-    | (?P<comment>//[^\n]* | /\*(?:.*?\*/ | .*))
-    | (?P<number>[+-]?(?:0[xX][0-9a-fA-F]+ | (?:\d+\.?\d* | \.\d+)(?:[eE][+-]?\d+)? | Infinity\b | NaN\b))
-    | (?P<name>[A-Za-z_$][\w$]*)
-    | (?P<space>\s+)
-    | (?P<other>.)""",
-    re.VERBOSE | re.DOTALL,
-)  # each character is looked at once: what is never closed goes on to the end
-_NO_NUMBER: Final = re.compile(rb"(?<=[:,\[])\s*[+-]?(?:NaN|Infinity)(?=[\s,}\]])")
-_ESCAPE: Final = re.compile(r"\\(?:x[0-9a-fA-F]{2}|\r\n|.)", re.DOTALL)
-_ESCAPES: Final = {"\\'": "'", "\\v": "\\u000b", "\\0": "\\u0000", "\\\n": "", "\\\r\n": ""}
-
-
-def without_nan(message: bytes) -> bytes:
-    """Write null for NaN and infinities, all that most JSON5 has beyond JSON; some 20 times as fast as `as_json`."""
-    return _NO_NUMBER.sub(b"null", message)
-
-
-def as_json(text: str) -> str:
-    """Write JSON5 as JSON, NaN and infinities as null; what is neither stays what it is."""
-
-    def escape(match: re.Match[str]) -> str:
-        found = match.group()
-        return f"\\u00{found[2:]}" if found.startswith("\\x") else _ESCAPES.get(found, found)
-
-    parts: list[str] = []
-    comma = -1  # where the latest part is a comma
-    for token in _TOKEN.finditer(text):
-        kind, found = token.lastgroup, token.group()
-        if kind in ("comment", "space"):
-            parts.append(" ")
-            continue
-        if comma >= 0 and found in "}]":
-            parts[comma] = " "
-        comma = len(parts) if found == "," else -1
-        if kind == "text" and "\\" in found:
-            found = _ESCAPE.sub(escape, found)
-        elif kind == "single" and token["closed"]:
-            inside = _ESCAPE.sub(escape, re.sub(r'(?<!\\)"', r"\"", found[1:-1]))
-            found = f'"{inside}"'
-        elif kind == "number":
-            found = _json_number(found)
-        elif kind == "name" and found not in ("true", "false", "null"):
-            found = f'"{found}"'
-        parts.append(found)
-    return "".join(parts)
-
-
-def _json_number(found: str) -> str:
-    if found.endswith(("NaN", "Infinity")):
-        return "null"
-    sign, digits = ("-" if found.startswith("-") else ""), found.lstrip("+-")
-    if digits[:2] in ("0x", "0X"):
-        # Python makes no number of thousands of digits, but of these it does.
-        return f"{sign}{int(digits, 16)}" if len(digits) <= 18 else "null"
-    whole, dot, rest = digits.partition(".")
-    if not dot:
-        return sign + digits
-    return f"{sign}{whole or '0'}.{rest if rest[:1].isdigit() else '0' + rest}"
