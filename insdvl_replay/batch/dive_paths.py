@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from insdvl_replay.core.dive_record import LOG_SUFFIXES
+from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 from insdvl_replay.core.errors import ConfigError, NaturalKey, natural_key, read_text
 from insdvl_replay.results.folder import is_result
 
@@ -19,7 +19,8 @@ BAG_METADATA: Final = "metadata.yaml"
 def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = False) -> list[Path]:
     """Find the dives that are meant, in the order of the names, by name below a folder, and each once.
 
-    A name is a log, .mcap, .db3 or .bag; a bag folder; a folder, which stands for every log and bag below it; a pattern
+    A name is a log, .mcap, .db3 or .bag, or a table; a bag folder; a folder, which stands for every log and bag below
+    it, and for the one dive that its tables are, if it has no logs; a pattern
     with ``*``, ``?`` or ``**``; or a .txt file that names one of these on each line, seen from its own folder, ``#``
     begins a comment. Hidden folders are left out. Where a folder or a pattern stands for logs that differ in their
     ending alone, they are one log before and after it was converted, and one of them is taken, .mcap first. Result
@@ -64,10 +65,10 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
         for match in _once_each(sorted(set(_globbed(path)), key=_natural)):
             if match.is_dir():
                 found += _in_folder(match, seen, results=results)
-            elif match.suffix in LOG_SUFFIXES:
+            elif match.suffix in LOG_SUFFIXES + TABLE_SUFFIXES:
                 found.append(match)
     if not found:
-        kinds = "logs, bags or results" if results else "logs or bags"
+        kinds = "logs, bags or results" if results else "logs, bags or tables"
         raise ConfigError(f"{path}: no dive is found there", f"check the path: it needs {kinds}")
     return found
 
@@ -108,6 +109,9 @@ def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]
             return
         logs = [path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()]
         folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
+        tables = [path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES]
+        if tables and not logs and not results and not any(map(is_result, folders)):
+            yield folder
     except PermissionError:
         yield folder  # as a dive that cannot be read
         return

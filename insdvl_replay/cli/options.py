@@ -49,7 +49,8 @@ Preset = Annotated[
 Logs = Annotated[
     list[str],
     typer.Argument(
-        metavar="LOG...", help="Logs (.mcap, .db3, .bag), bags, folders of them, quoted patterns, or .txt lists."
+        metavar="LOG...",
+        help="Logs (.mcap, .db3, .bag), bags, tables, folders of them, quoted patterns, or .txt lists.",
     ),
 ]
 Start = Annotated[

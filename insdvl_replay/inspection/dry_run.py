@@ -325,6 +325,10 @@ class ProbedTopic:
         """Its name."""
         return self.channel.topic
 
+    def stated_unit(self, path: str) -> str:
+        """Return the unit that a table states for a path; empty if there is none."""
+        return self.channel.metadata.get(split_paths(path)[0], "")
+
     def likely(self, quantity: str) -> list[FieldMatch]:
         """Return what could be a quantity by its name and number; of a specific force by its size, if none is named so.
 

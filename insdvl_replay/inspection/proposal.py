@@ -57,6 +57,7 @@ from insdvl_replay.logs.columns.tables import (
     stamp_unit,
 )
 from insdvl_replay.logs.columns.topics import PROPOSED, Source
+from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import Finding, find_roles
 
@@ -164,8 +165,10 @@ def _apart(clock: Clock) -> str:
     return f"log time minus stamp is {clock.log_minus_stamp_s:.3f} s (median)"
 
 
-def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Setting:
-    """Propose the stamp of a topic: a field that agrees with the recorder's clock."""
+def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Iterator[Setting]:
+    """Propose the stamp of a topic: a field that agrees with the recorder's clock. Tables need none."""
+    if seen.channel.encoding == TABLE:
+        return
     clocks: list[tuple[Clock, str]] = []
     times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
     named = [path for path in seen.scalars if _CLOCK_NAMES.search(path.rpartition(".")[2].lower())]
@@ -181,11 +184,12 @@ def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Setting:
                 clocks.append((clock, "" if numbers is None else f", read as {stamp_unit(numbers, recorded)[1]},"))
     if not clocks:
         text = "no field of the messages agrees with the recorder's clock"
-        return Setting(f"{role}.stamp", "log_time", text)
+        yield Setting(f"{role}.stamp", "log_time", text)
+        return
     (clock, unit), *others = clocks
     text = f"'{stamp_path(clock.stamp)}'{unit} agrees with the recorder's clock: {_apart(clock)}"
     lines = tuple(f'stamp = "{other.stamp}"' for other, _ in others)
-    return Setting(f"{role}.stamp", clock.stamp, text, others=lines)
+    yield Setting(f"{role}.stamp", clock.stamp, text, others=lines)
 
 
 def _recorder_stamps(
@@ -211,8 +215,11 @@ def _recorder_stamps(
 _RATE_COHERENT: Final = 0.95
 _RATE_CLEARLY: Final = 0.02
 _TURNED: Final = 2.0 * DEG
+_TURNED_CLEARLY: Final = 0.01
+_OPPOSITE: Final = "the accelerometers have the opposite sign"
 _FOLLOWS: Final = 0.8
 _AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
+_STATED: Final = "the titles of the columns have this unit"
 _RATE_UNITS_OPEN: Final = "rad/s or deg/s, see the data sheet"
 
 
@@ -237,7 +244,9 @@ def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         text = f"{', '.join(SPECIFIC_FORCE_UNITS)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
         yield Setting("imu.specific_force_unit", "m/s2", open=text)
     yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named as an angular rate; check this one")
-    yield _stamp(log, topic, "imu")
+    if (unit := topic.stated_unit(rates[0].path)) in ANGULAR_RATE_UNITS:
+        yield Setting("imu.angular_rate_unit", unit, _STATED)
+    yield from _stamp(log, topic, "imu")
 
 
 def _measured_imu(
@@ -286,6 +295,25 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
         fits.append(None if reference is None else gyro_by_attitude(turned, reference))
     scores = np.array([0.0 if fit is None else fit.correlation for fit in fits])
     best = int(np.argmax(scores > scores.max() - _RATE_CLEARLY))
+    for (axes, sign), fit in zip(possible, fits, strict=True):
+        # Single axes whose rate is the opposite of the reference's, as in data with left-handed axes.
+        is_turned = np.zeros(3, np.bool_) if fit is None else (fit.by_axis < -_FOLLOWS) & (fit.excursion > _TURNED)
+        if reference is None or not is_turned.any():
+            continue
+        rows = np.where(is_turned, -1.0, 1.0)[:, None] * axes
+        turned = replace(imu, angular_rate_b=in_frd(imu.angular_rate_b, axes_text(rows), "imu.axes"))
+        agrees = gyro_by_attitude(turned, reference)
+        if (
+            np.linalg.det(rows) < 0.0
+            and agrees
+            and agrees.correlation > max(_RATE_COHERENT, scores.max() + _TURNED_CLEARLY)
+        ):
+            names = " and ".join(np.array(["forward", "starboard", "down"])[is_turned])
+            text = f"agrees with the reference's attitude (correlation {agrees.correlation:.3f}) if {names} is turned"
+            yield Setting("imu.axes", axes_text(rows), f"{felt}, and the angular rate {text}")
+            if sign < 0.0:
+                yield Setting("imu.specific_force_axes", axes_text(sign * rows), _OPPOSITE)
+            return
     others: Sequence[int] = ()
     if scores.max() > _RATE_COHERENT:
         rivals = np.flatnonzero(scores > scores.max() - _RATE_CLEARLY).tolist()
@@ -309,7 +337,7 @@ def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[S
     rate, force_axes = words[best]
     yield Setting("imu.axes", rate, seen, built_in)
     if rate != force_axes:
-        yield Setting("imu.specific_force_axes", force_axes, "the accelerometers have the opposite sign")
+        yield Setting("imu.specific_force_axes", force_axes, _OPPOSITE)
 
 
 def level_axes(force: Floats) -> list[Floats]:
@@ -382,7 +410,7 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         yield from (Setting("dvl.beam_valid", flag.path) for flag in valid[:1])
         yield Setting("dvl.beam_tilt_deg", 30.0, open="angle from the instrument's z axis, see the data sheet")
         yield Setting("dvl.beam_azimuth_deg", azimuths, open="angles from forward towards starboard, one for each beam")
-    yield _stamp(log, topic, "dvl")
+    yield from _stamp(log, topic, "dvl")
     yield Setting("dvl.lever_arm_m", (0.0, 0.0, 0.0), open="from IMU to DVL: forward, starboard, down; measure it")
     yield Setting("dvl.mounting_rpy_deg", (0.0, 0.0, 0.0), open="DVL axes to body: roll, pitch, heading; measure them")
 
@@ -426,6 +454,7 @@ _REFERENCE_WORDS: Final = {
     "pitch": re.compile(r"(^|[._])pitch([._]|$)"),
     "heading": re.compile(r"(^|[._])(heading|hdg|yaw)([._]|$)"),
 }
+_ALTITUDE: Final = re.compile(r"(^|[._])(alt(itude)?|height)([._]|$)")
 _PLACE: Final = ("latitude", "longitude")
 _ATTITUDE: Final = ("roll", "pitch", "heading")
 _NORTH: Final = re.compile(r"(?i)(.*(?:v|vel|velocity)_?)(n|north)")
@@ -449,12 +478,15 @@ def _reference_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterat
     yield from (Setting(f"reference.{quantity}", path) for quantity, path in fields.items())
     angles = (*_PLACE, *_ATTITUDE)
     largest = max(abs(topic.scalars[path]) for quantity, path in fields.items() if quantity in angles)
+    stated = {topic.stated_unit(path) for quantity, path in fields.items() if quantity in angles}
     key = "reference.angle_unit"
-    if largest > _FULL_CIRCLE:
+    if len(stated) == 1 and stated <= {"deg", "rad"}:
+        yield Setting(key, stated.pop(), _STATED)
+    elif largest > _FULL_CIRCLE:
         yield Setting(key, "deg", f"an angle of {largest:.3g} cannot be in radians")
     else:
         yield Setting(key, "deg", open=f"deg or rad; the largest angle is {largest:.3g}")
-    yield _stamp(log, topic, "reference")
+    yield from _stamp(log, topic, "reference")
 
 
 def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
@@ -468,6 +500,9 @@ def _reference_fields(topic: ProbedTopic) -> dict[str, str]:
             found = {quantity: path for quantity, path in found.items() if quantity not in together}
     if not found.keys() & {*_PLACE, *_ATTITUDE}:
         return {}
+    below = [path for path, median in topic.scalars.items() if _ALTITUDE.search(path.lower()) and median < 0.0]
+    if below and "latitude" in found and "depth" not in found:
+        found["height"] = below[0]  # no altitude above the bottom is negative
     # Fields such as ``vn``, ``ve``, ``vd`` or ``vel_north``, ``vel_east``, ``vel_down``.
     for path in topic.scalars:
         match = _NORTH.fullmatch(path)
@@ -523,6 +558,7 @@ class Proposal:
     settings: tuple[Setting, ...]
     blockers: tuple[Blocker, ...] = ()  # what stops a replay with them too
     notes: tuple[Note, ...] = ()
+    table_clocks: tuple[Setting, ...] = ()  # those of the settings that correct the clocks of tables
 
 
 def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Proposal:
@@ -549,6 +585,12 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
         return Proposal(tuple(setting for source in sources for setting in _measured_reference(log, source, config)))
     fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
+    clocks: list[Setting] = []
+    if any(channel.encoding == TABLE for channel in log.channels):
+        from insdvl_replay.inspection.table_clocks import table_clock_settings
+
+        clocks = not_yet_set(table_clock_settings(log, with_settings(config, settings)), config)
+        settings += clocks
     settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
@@ -560,7 +602,7 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
         text = f"too many fields: these topics were ignored for the proposal: {listed(unseen)}"
         hint = "set the topic of each role: imu.topic, dvl.topic, reference.topic"
         notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
-    return Proposal(tuple(settings), tuple(last.blockers), tuple(notes))
+    return Proposal(tuple(settings), tuple(last.blockers), tuple(notes), tuple(clocks))
 
 
 def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:

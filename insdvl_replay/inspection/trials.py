@@ -211,6 +211,8 @@ def mounted(dive: Dive, as_read: Hypothesis) -> Iterator[Hypothesis]:
     mountings = [rpy_of(turn) for turn in turns]
     mountings.sort(key=lambda rpy_deg: (rpy_deg[0], abs(rpy_deg[2])))
     ways = [(axes_text(axes), axes_text(sign * axes)) for sign in (1.0, -1.0) for axes in level_axes(sign * force)]
+    if np.linalg.det(_map_of(as_read.axes)) < 0.0:
+        ways.append((as_read.axes, as_read.force_axes))  # left-handed axes, which a reference has shown
     # Together with the mountings, one turn about down says the same as another: as read comes first.
     ways.sort(key=lambda way: way != (as_read.axes, as_read.force_axes))
     for axes, force_axes in ways:

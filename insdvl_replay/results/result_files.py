@@ -121,6 +121,6 @@ def save_histories(replay: Replay, folder: Path, format_: str) -> None:
 def require_parquet() -> None:
     """Raise a ConfigError where nothing can write Parquet."""
     try:
-        import pyarrow  # type: ignore[import-not-found]  # noqa: F401
+        import pyarrow  # noqa: F401
     except ImportError as error:
         raise ConfigError("--history parquet needs pyarrow", "pip install pyarrow, or --history csv") from error

@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from insdvl_replay.cli.app import app
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.topics import TYPES
@@ -33,10 +33,11 @@ def test_page_names_every_type_and_says_something_of_it() -> None:
             assert entry.about, name
 
 
-def test_lines_for_arrays_write_a_log(tmp_path: Path) -> None:
+def test_lines_for_arrays_write_a_dive(tmp_path: Path) -> None:
     (lines,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     subprocess.run([sys.executable, "-c", lines], cwd=tmp_path, check=True)
-    dive = read_dive(tmp_path / "dive.mcap", Config())
+    imu = Imu(topic="dive.npz/imu", specific_force="acc", angular_rate="gyro")
+    dive = read_dive(tmp_path / "dive.npz", Config(imu=imu, dvl=Dvl(topic="dive.npz/dvl", velocity="velocity")))
     np.testing.assert_allclose(dive.imu.specific_force_b, np.tile([0.0, 0.0, -9.8], (1000, 1)))
     assert len(dive.dvl.time_ns) == 50
 

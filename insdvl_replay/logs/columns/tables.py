@@ -7,10 +7,11 @@ stamp that jumps while the log time goes on is wrong.
 """
 
 import math
+import re
 import sys
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +24,10 @@ from insdvl_replay.core.errors import LogError, Note, error_context, listed
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.topics import Source, code_of
 from insdvl_replay.logs.formats.fields import (
+    ROW,
     ROWS,
+    TABLE,
+    TIME_UNITS_NS,
     Columns,
     FieldReader,
     Kinds,
@@ -40,12 +44,17 @@ Mask = NDArray[np.bool_]
 RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no message
 SAMPLED: Final = ("pose_cov", "twist_cov")  # quantities that change slowly, and are large
 MOST_SAMPLED: Final = 20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
+_RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")  # as a stamp: of the rows of a table
+_WITH_UNIT: Final = re.compile(r"(.+?) ?\[(s|ms|us|ns)\]")  # as a stamp: a field, and the unit of its numbers
 _HOPELESS: Final = 1000  # where so many messages cannot be read, and fewer can, the schema is wrong
 
 
 def stamp_path(stamp: str) -> str:
-    """Return the field of a stamp; ``header`` is short for that of a ROS message."""
-    return "header.stamp" if stamp == "header" else stamp
+    """Return the field of a stamp: of ``header`` that of a ROS message, of a rate such as ``100 Hz`` the row number."""
+    if _RATE.fullmatch(stamp):
+        return ROW
+    with_unit = _WITH_UNIT.fullmatch(stamp)
+    return with_unit[1] if with_unit else "header.stamp" if stamp == "header" else stamp
 
 
 @dataclass(frozen=True)
@@ -95,6 +104,7 @@ class Table:
         """Stamps that are plain numbers, shape (k,); None where they are times."""
         values = self.columns[stamp_path(self.source.stamp)]
         is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        is_time |= any(form.fullmatch(self.source.stamp) is not None for form in (_RATE, _WITH_UNIT))
         return None if is_time else values[:, 0]
 
     def time_ns(self) -> TimeNs:
@@ -111,7 +121,13 @@ class Table:
                 raise LogError(text, f"set {role}.stamp to a builtin_interfaces/Time or one number", *self.where)
             if missing := int(np.count_nonzero(~np.isfinite(values))):
                 raise LogError(f"stamp '{path}' is not a number in {missing} messages", hint, *self.where)
-            counted = values[:, 0] * stamp_unit(values[:, 0], self.columns["log_time"][:, 0])[0]
+            log_time_ns = self.columns["log_time"][:, 0]
+            if rate := _RATE.fullmatch(stamp):
+                counted = int(log_time_ns.min()) + np.rint(values[:, 0] * (NS_PER_S / float(rate[1]))).astype(np.int64)
+            elif with_unit := _WITH_UNIT.fullmatch(stamp):
+                counted = values[:, 0] * TIME_UNITS_NS[with_unit[2]]
+            else:
+                counted = values[:, 0] * stamp_unit(values[:, 0], log_time_ns)[0]
             time_ns = counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             text = f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages"
@@ -298,6 +314,10 @@ class _Builder:
         )
         if self.unreadable_ns and not self.log.allow_damaged:
             raise table.damage_error()
+        if self.source.channels[0].encoding == TABLE and self.source.stamp not in RECORDER_STAMPS:
+            # A table has no recorder: the column that the settings name takes its place.
+            time_ns = table.time_ns() + nanoseconds(self.source.latency_s)
+            return replace(table, columns={**table.columns, "log_time": time_ns[:, None]})
         return table
 
     def _has_nothing(self) -> LogError:
@@ -386,7 +406,7 @@ def measure_clock(
         topic=topic,
         stamp=stamp,
         messages=len(time_ns),
-        log_minus_stamp_s=(float(first_ns) + median) * 1e-9 - latency_s,
+        log_minus_stamp_s=round((float(first_ns) + median) * 1e-9 - latency_s, 9) + 0.0,
         spread_s=(high - low) * 1e-9,
         back_steps=back_steps,
         repeats=repeats,

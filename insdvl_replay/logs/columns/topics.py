@@ -16,7 +16,7 @@ from insdvl_replay.core.config import TOPIC_KEYS, key_of
 from insdvl_replay.core.errors import LogError, error_context, listed, nearest
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.logs.formats.definitions import full_name
-from insdvl_replay.logs.formats.fields import Element, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.formats.fields import TABLE, Element, channel_paths, check_encoding, find_path, split_paths
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 
 
@@ -295,6 +295,10 @@ class Topics:
         lack = f"has no {role.upper() if role in ('imu', 'dvl') else f'topic for the {role}'}"
         if not self._channels:
             raise LogError(f"{lack}: it has no messages at all", self._nothing_recorded)
+        if all(channel.encoding == TABLE for same in self._channels.values() for channel in same):
+            ways = " or ".join(" and ".join(f"{role}.{name}" for name in sorted(way)) for way in required.needs.enough)
+            hint = f"give the folder of all tables, or all of them with --one-dive; to name its fields: {ways}"
+            raise LogError(f"{lack}: no setting names a table for it; it has {listed(sorted(self._channels))}", hint)
         slow = sorted(topic for topic in self._channels if _TELEMETRY.search(topic))
         if role == "imu" and slow:
             text = f"{lack} that can be replayed: {listed(slow, 3)} is telemetry and too slow"

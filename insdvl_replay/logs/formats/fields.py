@@ -36,6 +36,9 @@ from insdvl_replay.logs.formats.log_file import Block, LogChannel, gather
 Columns = dict[str, NDArray[Any]]  # by path, (k, n): a row per message; int64 where all are whole, else float64
 Kinds = Mapping[str, str]  # every path that a type knows, with the type of what is there
 ROWS: Final = ""  # key of the messages' numbers in columns, where a message may give several rows, or none
+TABLE: Final = "table"  # encoding of the rows of a table
+ROW: Final = "row number"  # path of the number of a row in its table, from 0
+TIME_UNITS_NS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 NUMBER: Final = "number"  # kinds of what is decoded message by message
 TEXT: Final = "text"
 TEXTS: Final = (TEXT, "string", "wstring")
@@ -110,7 +113,7 @@ ENCODINGS: Final = {
 
 def check_encoding(channel: LogChannel) -> None:
     """Refuse a channel whose messages cannot be read."""
-    if channel.schema_encoding not in ENCODINGS.get(channel.encoding, ()):
+    if channel.encoding != TABLE and channel.schema_encoding not in ENCODINGS.get(channel.encoding, ()):
         known = ", ".join(f"{name} with {schemas[0]}" for name, schemas in ENCODINGS.items())
         raise LogError(
             f"messages on '{channel.topic}' are encoded as {channel.encoding or 'nothing'} with "
@@ -127,6 +130,10 @@ def channel_paths(channel: LogChannel) -> Kinds:
 def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | None = None) -> FieldReader:
     """Make the reader of some fields of a readable channel; a LogError names a field that its schema does not know."""
     # What reads an encoding is not loaded before a log has it: protobuf's takes longer than to read a short log.
+    if channel.encoding == TABLE:
+        from insdvl_replay.logs.formats.table_file import RowReader
+
+        return RowReader(channel, paths)
     if channel.encoding in ("protobuf", "json"):
         from insdvl_replay.logs.formats.decoded import JsonReader, protobuf_reader
 

@@ -13,9 +13,10 @@ from typing import Final, TypeVar
 import msgspec
 
 from insdvl_replay.core.dive_columns import TimeNs
-from insdvl_replay.core.dive_record import LOG_SUFFIXES
+from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 from insdvl_replay.core.errors import LogError, Note, counted_clause, is_writable, read_text, visible
 from insdvl_replay.core.words import Severity
+from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.log_file import (
     COPY_AGAIN,
     Block,
@@ -43,7 +44,13 @@ def open_log_file(path: Path) -> LogFile:
         from insdvl_replay.logs.formats.ros1_bag import BagFile
 
         return BagFile(file)
-    if not start.startswith(MAGIC) and (other := other_format(path, start)) is not None:
+    if start.startswith(MAGIC):
+        return McapFile(file)
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        from insdvl_replay.logs.formats.table_file import TableFile
+
+        return TableFile(file)
+    if (other := other_format(path, start)) is not None:
         raise LogError(f"is {other.name}, which is not read", other.step.format(path=path), path)
     return McapFile(file)
 
@@ -89,7 +96,8 @@ class Recording:
         if len(self.parts) > 1:
             names = ", ".join(part.path.name for part in self.parts)
             notes.insert(0, Note("joined_files", f"read as one dive: {names}", len(self.parts)))
-            spans = [part.span_ns for part in self.parts if part.span_ns]
+            logs = [part for part in self.parts if not all(channel.encoding == TABLE for channel in part.channels)]
+            spans = [part.span_ns for part in logs if part.span_ns]
             reached = accumulate((last for _, last in spans), max)
             following = zip(reached, spans[1:], strict=False)
             overlaps = [(end - start) * 1e-9 for end, (start, _) in following if end >= start]
@@ -223,8 +231,9 @@ def bag_parts(path: Path) -> tuple[Path, ...]:
     for packed in _logs_in(path, _PACKED):
         if packed.with_suffix("") not in parts:
             raise LogError("is compressed as a whole with zstd", f"unpack it: `zstd -d {packed}`", packed)
+    parts = parts or tuple(file for file in sorted(path.iterdir()) if file.suffix.lower() in TABLE_SUFFIXES)
     if not parts:
-        what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files"
+        what = f"is a folder without {' or '.join(LOG_SUFFIXES)} files, and without tables"
         raise LogError(what, "give a log, or a folder with the parts of one", path)
     return parts
 

@@ -1,0 +1,188 @@
+"""Tables are dives: the same columns from every format, and no damage that goes unnoticed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_tables import FORMATS, HARMS, SECTIONS, recorded, settings, tables_of, write_tables
+
+from insdvl_replay.core.config import Config, Dvl, Imu
+from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.recording import open_recording
+from insdvl_replay.replay import replay_log
+
+NEEDS = {"parquet": "pyarrow", "h5": "h5py"}
+IMU = Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz")
+DVL = Dvl(topic="dvl.csv", velocity="vx, vy, vz")
+
+
+def write_pair(folder: Path, time_of: str = "{:.3f}", title: str = "t") -> Path:
+    """Write an IMU of 100 Hz and a DVL of 5 Hz as CSV."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(1)
+    for name, names, rate_hz, mean in (
+        ("imu", "ax,ay,az,gx,gy,gz", 100.0, [0.0, 0.0, -9.8, 0.0, 0.0, 0.0]),
+        ("dvl", "vx,vy,vz", 5.0, [1.0, 0.0, 0.0]),
+    ):
+        rows = rng.normal(mean, 0.01, (int(10 * rate_hz), len(mean)))
+        lines = [",".join([time_of.format(i / rate_hz), *map(repr, row)]) for i, row in enumerate(rows.tolist())]
+        (folder / f"{name}.csv").write_text("\n".join([f"{title},{names}", *lines, ""]))
+    return folder
+
+
+def codes(dive: Dive) -> set[str]:
+    return {note.code for note in dive.notes}
+
+
+def same(dive: Dive, other: Dive) -> bool:
+    """Whether two dives have the same numbers, to nine digits of their size."""
+    for role in SECTIONS:
+        one, two = getattr(dive, role), getattr(other, role)
+        for name, values in vars(one).items():
+            if name == "look_d":  # what messages tell of beams, and tables do not
+                continue
+            expected = getattr(two, name)
+            if (values is None) != (expected is None):
+                return False
+            if values is None:
+                continue
+            if values.shape != expected.shape:
+                return False
+            size = max(float(np.nanmax(np.abs(expected), initial=0.0)), 1e-12)
+            if values.dtype.kind == "i":
+                if not np.array_equal(values, expected):
+                    return False
+            elif not np.allclose(values, expected, rtol=0.0, atol=1e-10 * size, equal_nan=True):
+                return False
+    return True
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Dive]:
+    return recorded(tmp_path_factory.mktemp("log"))
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_every_format_gives_the_dive_of_the_log(log: tuple[Path, Dive], tmp_path: Path, ending: str) -> None:
+    if ending in NEEDS:
+        pytest.importorskip(NEEDS[ending])
+    path, topics = write_tables(tmp_path / "dive", tables_of(log[1]), ending)
+    dive = read_dive(path, settings(topics))
+    assert same(dive, log[1])
+    assert dive.name == "dive"
+    assert codes(dive) <= {"joined_files"}
+
+
+@pytest.mark.parametrize("ending", ["csv", "mat"])
+def test_results_are_those_of_the_log(log: tuple[Path, Dive], tmp_path: Path, ending: str) -> None:
+    path, topics = write_tables(tmp_path / "dive", tables_of(log[1]), ending)
+    of_tables = settings(topics)
+    of_log = Config(evaluation=of_tables.evaluation, dvl=Dvl(beam_tilt_deg=30.0))
+    ours, theirs = replay_log([path], of_tables), replay_log([log[0]], of_log)
+    for mine, other in zip(ours.histories, theirs.histories, strict=True):
+        np.testing.assert_allclose(mine.position, other.position, rtol=1e-9)
+        np.testing.assert_allclose(mine.velocity_n, other.velocity_n, rtol=1e-9, atol=1e-9)
+
+
+def test_a_log_and_a_table_are_one_dive(log: tuple[Path, Dive], tmp_path: Path) -> None:
+    tables = {name: table for name, table in tables_of(log[1]).items() if name == "reference"}
+    folder, topics = write_tables(tmp_path / "dive", tables, "csv")
+    reference = settings({"imu": "", "dvl": "", **topics}).reference
+    dive = read_dive([log[0], folder / "reference.csv"], Config(reference=reference))
+    assert same(dive, log[1])
+
+
+@pytest.mark.parametrize(
+    ("stamp", "title", "form"),
+    [(None, "t", "{:.3f}"), ("t [s]", "t", "{:.3f}"), ("100 Hz", "number", "{:.3f}"), ("1", "no", "{:.3f}")],
+)
+def test_times_come_from_a_column_or_a_rate(tmp_path: Path, stamp: str | None, title: str, form: str) -> None:
+    folder = write_pair(tmp_path / "dive", form, title)
+    dvl_stamp = "5 Hz" if stamp == "100 Hz" else stamp
+    config = Config(imu=Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz", stamp=stamp))
+    dive = read_dive(folder, Config(imu=config.imu, dvl=Dvl(topic="dvl.csv", velocity="vx, vy, vz", stamp=dvl_stamp)))
+    np.testing.assert_array_equal(dive.imu.time_ns, 10_000_000 * np.arange(1000))
+    np.testing.assert_array_equal(dive.dvl.time_ns, 200_000_000 * np.arange(50))
+    assert ("table_without_times" in codes(dive)) == (title != "t")
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize("named", [True, False])
+def test_the_unit_of_times_is_that_of_the_title_or_of_the_rate(
+    tmp_path: Path, unit: str, factor: float, named: bool
+) -> None:
+    folder = write_pair(tmp_path / "dive", "{:.3f}", f"Time ({unit})" if named else "time")
+    for path in folder.iterdir():
+        head, *rows = path.read_text().splitlines()
+        cells = [row.partition(",") for row in rows]
+        text = "\n".join([head, *(f"{float(time) * factor:.0f},{others}" for time, _, others in cells), ""])
+        path.write_text(text)
+    dive = read_dive(folder, Config(imu=IMU, dvl=DVL))
+    np.testing.assert_array_equal(dive.imu.time_ns, 10_000_000 * np.arange(1000))
+    assert ("table_time_unit" in codes(dive)) != named
+
+
+def test_dates_and_comments_and_quotes_are_read(tmp_path: Path) -> None:
+    folder = write_pair(tmp_path / "dive")
+    text = (folder / "dvl.csv").read_text().splitlines()
+    dates = [f'"2024-01-01T00:00:{float(line.partition(",")[0]):09.6f}Z",{line.partition(",")[2]}' for line in text[1:]]
+    (folder / "dvl.csv").write_text("\n".join([f"# {text[0].replace('t,', 'time,', 1)}", *dates, ""]))
+    times = open_recording(folder / "dvl.csv").log_times()[0]
+    assert str(times[0].astype("M8[ns]")) == "2024-01-01T00:00:00.000000000"
+    np.testing.assert_array_equal(np.diff(times), 200_000_000)
+
+
+def test_arrays_are_grouped_by_length_and_by_time(tmp_path: Path) -> None:
+    path = tmp_path / "dive.npz"
+    arrays = {"imu_t": np.arange(90) * 0.01, "imu_acc": np.ones((90, 3)), "dvl_t": np.arange(90) * 0.2}
+    np.savez(path, **arrays, dvl_v=np.ones((3, 90)), fix=np.ones((20, 7)), name="dive", empty=np.empty(0))
+    channels = {channel.topic: channel for channel in open_recording(path).channels}
+    assert sorted(channels) == ["dive.npz/dvl", "dive.npz/fix", "dive.npz/imu"]
+    assert channels["dive.npz/fix"].schema_text.count("column_") == 7
+
+
+def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
+    for name, content, sentence in (
+        ("a.csv", b"hello\n", "is no table"),
+        ("b.csv", b"", "is empty"),
+        ("c.npz", b"PK\x03\x04 cut", "cannot be read as .npz"),
+        ("d.mat", b"MATLAB 5.0 MAT-file, cut", "cannot be read as .mat"),
+        (
+            "e.npy",
+            b"\x93NUMPY\x01\x00v\x00{'descr': '|O', 'fortran_order': False, 'shape': (3,)}",
+            "cannot be read as",
+        ),
+    ):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(LogError, match=sentence):
+            open_recording(tmp_path / name)
+
+
+def harmed(dive: Dive, folder: Path, seed: int) -> str:
+    """Harm one table of a dive; say how it went: refused, noted, same, or what was silently different."""
+    rng = np.random.default_rng(seed)
+    harm = HARMS[seed % len(HARMS)]
+    _, topics = write_tables(folder, tables_of(dive), "csv")
+    path = folder / f"{rng.choice(SECTIONS)}.csv"
+    path.write_text(harm(path.read_text().splitlines(), rng))
+    try:
+        found = read_dive(folder, settings(topics))
+    except (LogError, ConfigError):
+        return "refused"
+    if same(found, dive):
+        return "same"
+    return "noted" if codes(found) - {"joined_files"} else f"silent: {harm.__name__} of {path.name}, seed {seed}"
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_damaged_table_is_refused_or_noted(log: tuple[Path, Dive], tmp_path: Path, seed: int) -> None:
+    assert not harmed(log[1], tmp_path / "dive", seed).startswith("silent")
+
+
+@pytest.mark.nightly
+def test_hundreds_of_damaged_tables_are_refused_or_noted(log: tuple[Path, Dive], tmp_path: Path) -> None:
+    found = [harmed(log[1], tmp_path / "dive", seed) for seed in range(300)]
+    assert [outcome for outcome in found if outcome.startswith("silent")] == []
+    assert {"refused", "noted"} <= set(found)
