@@ -44,7 +44,6 @@ S = TypeVar("S", bound=Struct)
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
-_OVERRIDE: Final = "for example --set dvl.scale=1.01"
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
 _MISSPELLED: Final = 0.85
 _ALSO_CALLED: Final[Mapping[str, str]] = {
@@ -342,15 +341,17 @@ def _overridden(settings: Mapping[str, Any], source: TomlSource) -> dict[str, An
 
 def _parse_override(option: str, text: str) -> TomlSource:
     path, equals, value = text.partition("=")
-    keys = path.strip().split(".")
+    keys, example = path.strip().split("."), f"for example {option} dvl.scale=1.01"
     if not equals or not all(keys) or len(keys) < 2:
-        raise ConfigError(f"{option} {text}: is not of the form section.key=value", _OVERRIDE)
+        raise ConfigError(f"{option} {text}: is not of the form section.key=value", example)
     if not is_writable(text):
-        raise ConfigError(f"{option} {text}: is not UTF-8 text", _OVERRIDE)
+        raise ConfigError(f"{option} {text}: is not UTF-8 text", example)
     try:
         parsed: Any = parse_toml(f"value = {value.strip()}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value.strip()
+    if parsed == "none" and keys[-1] != "align":  # as results write a setting that is left out
+        parsed = None
     for key in reversed(keys):
         parsed = {key: parsed}
     return TomlSource(f"{option} {text}", content=parsed, assigned=f"{option} '{{}}={{}}'")

@@ -224,6 +224,12 @@ def test_overrides_that_only_fit_together_are_taken_together() -> None:
     assert (acceleration.order, acceleration.window) == (3, 5)
 
 
+def test_none_leaves_a_setting_out_as_results_write_it() -> None:
+    config = load_config(overrides=["dvl.beam_sd_mps=0.01"], against=["dvl.beam_sd_mps=none"])
+    assert config.dvl.beam_sd_mps is None
+    assert load_config(overrides=["dvl.beam_sd_mps=0.01"]).dvl.beam_sd_mps == 0.01
+
+
 def test_a_bare_word_is_a_string() -> None:
     assert load_config(overrides=["imu.axes=flu"]).imu.axes == "flu"
 
