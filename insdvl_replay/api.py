@@ -300,10 +300,13 @@ def compare(
     tolerance_pct : float, optional
         Changes up to this count as the same. Default: the last printed digit.
     """
-    from insdvl_replay.changes.comparison import Selection, brief_document, compare_results, comparison_result
+    from insdvl_replay.changes.comparison import compare_results
+    from insdvl_replay.changes.comparison_document import brief_document, comparison_result
 
-    selection = Selection(tuple(tables), tuple(columns), tuple(dives), pairs or {}, tolerance_pct)
-    found = compare_results(Path(old), Path(new), selection)
+    found = compare_results(
+        Path(old), Path(new), tables=tables, columns=columns, dives=dives, filter_pairs=pairs or {},
+        tolerance_pct=tolerance_pct,
+    )  # fmt: skip
     return CommandResult(comparison_result(found, brief_document(found)))
 
 
@@ -352,7 +355,7 @@ def check(
     from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_jobs, replay_jobs
     from insdvl_replay.changes.formats import check_result
     from insdvl_replay.changes.gate_file import load_gates
-    from insdvl_replay.changes.gates import Checked, checked_replay, checked_results, evaluate_gates
+    from insdvl_replay.changes.gates import Checked, checked_results, evaluate_gates
     from insdvl_replay.results.folder import is_result
 
     found = load_gates(Path(gates))
@@ -362,12 +365,14 @@ def check(
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
     checked = list[Checked]()
     for path in find_dives(named, base, results=True):
-        if path.suffix == ".json" or is_result(path):
-            checked += checked_results(path)
-        else:
+        if not (path.suffix == ".json" or is_result(path)):
             jobs = plan_jobs([path], Path(results), options)
             [outcome] = replay_jobs(jobs, known_reports(jobs, force=True), None)
-            checked.append(checked_replay(outcome.job.target, outcome.result))
+            path = outcome.job.target
+            if isinstance(outcome.result, Exception):
+                checked.append(Checked(path.name, outcome.result, path))
+                continue
+        checked += checked_results(path)
     return CommandResult(check_result(evaluate_gates(found, checked)))
 
 

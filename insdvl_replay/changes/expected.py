@@ -9,8 +9,8 @@ from zipfile import BadZipFile, ZipFile, ZipInfo
 
 import msgspec
 
-from insdvl_replay.changes.cells import changed_settings, named_rows
-from insdvl_replay.changes.gate_file import LOG, TRAJECTORY, Gate, Gates, is_meant
+from insdvl_replay.changes.cells import changed_settings
+from insdvl_replay.changes.gate_file import LOG, CellGate, Gate, Gates, TrajectoryGate
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import ConfigError, UserError, listed, looked_for
 from insdvl_replay.core.result import Row, StoredLog, StoredReport, as_json, flattened
@@ -30,6 +30,9 @@ _SETTINGS_FILE: Final = "settings.json"  # in the archive of a trajectory
 _HASH_DIGITS: Final = 12
 
 
+# --- Read.
+
+
 def expected_path(gates: Gates, gate: Gate, dive: str) -> Path:
     """Return where the expected values of a dive are stored."""
     return gates.path.parent / (gate.expected or "").replace(LOG, dive)
@@ -37,7 +40,7 @@ def expected_path(gates: Gates, gate: Gate, dive: str) -> Path:
 
 def stored_values(gate: Gate, path: Path) -> "StoredReport | Trajectory | None":
     """Read expected values; None if there are none, or the file is something else."""
-    if gate.table == TRAJECTORY:
+    if isinstance(gate, TrajectoryGate):
         from insdvl_replay.results.trajectory import read_trajectory
 
         return read_trajectory(path)
@@ -55,77 +58,17 @@ def expected_of(gates: Gates, gate: Gate, log: StoredLog) -> "StoredReport | Tra
             raise ConfigError(f"{path}: there are no expected values yet", f"{command} writes them")
     expected = stored_values(gate, path)
     if expected is None:
-        kind = "trajectory" if gate.table == TRAJECTORY else "result"
+        kind = "trajectory" if isinstance(gate, TrajectoryGate) else "result"
         raise ConfigError(f"{path}: is not a readable {kind}", f"{command} writes a new one")
     if (expected.log.sha256 if isinstance(expected, StoredReport) else expected.sha256) != log.sha256:
-        raise ConfigError(
-            f"{path}: the expected values are of another log than {log.name}", f"{command} writes new ones"
-        )
+        text = f"{path}: the expected values are of another log than {log.name}"
+        raise ConfigError(text, f"{command} writes new ones")
     return expected
-
-
-def with_expected(gates: Gates, dives: Sequence["Checked"]) -> Iterator[tuple[Gate, "Checked", StoredReport]]:
-    """Yield each gate that has expected values, with each dive that it applies to."""
-    for gate in gates.content.gate:
-        if gate.expected is not None and gate.level != GateLevel.OFF:
-            for dive in dives:
-                if isinstance(dive.result, StoredReport) and is_meant(gate, dive.name):
-                    yield gate, dive, dive.result
-
-
-def write_expected(gates: Gates, dives: Sequence["Checked"]) -> list[Path]:
-    """Store the gated values and trajectories; return the files."""
-    written: dict[Path, tuple[Checked, StoredReport, list[Gate]]] = {}
-    for gate, dive, result in with_expected(gates, dives):
-        path = expected_path(gates, gate, dive.name)
-        owner, _, sharing = written.setdefault(path, (dive, result, []))
-        if owner is not dive:
-            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name")
-        if sharing and (sharing[0].table == TRAJECTORY) != (gate.table == TRAJECTORY):
-            raise ConfigError(
-                f"{gates.where(gate)}: a trajectory and tables share {path}", "use a separate file for the trajectory"
-            )
-        sharing.append(gate)
-    for path, (dive, result, sharing) in written.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with result_file(path, force=True) as file:
-            if sharing[0].table == TRAJECTORY:
-                assert dive.folder is not None
-                file.write_bytes(read_file(dive.folder / TRAJECTORY_FILE))
-                with ZipFile(file, "a") as arrays:
-                    arrays.writestr(ZipInfo(_SETTINGS_FILE), as_json(_gated_values(result, [])))
-            else:
-                file.write_bytes(as_json(_gated_values(result, sharing)))
-    return list(written)
-
-
-def _gated_values(report: StoredReport, gates: Sequence[Gate]) -> dict[str, Any]:
-    """Return the gated values with their names, what a comparison needs, and the settings, readable in a review."""
-    tables: dict[str, dict[tuple[str, str, str], Row]] = {}
-    for gate in gates:
-        for layout in gate.layouts:
-            needed = ("log", "filter", layout.key, "unit", "dof", "evidence", gate.column)
-            for name, row in named_rows(report, layout).items():
-                if gate.is_about(name, row):
-                    kept = tables.setdefault(layout.name, {}).setdefault(name, {})
-                    kept.update({column: row[column] for column in needed if column in row})
-    candidates = tables.pop(CANDIDATES.name, {}).values()
-    return {
-        "tool": {name: report.tool[name] for name in ("name", "version") if name in report.tool},
-        "log": {"name": report.log.name, "sha256": report.log.sha256},
-        "tables": {name: list(rows.values()) for name, rows in tables.items()},
-        "baseline": report.baseline,
-        "filters": {str(row["filter"]): row for row in candidates},
-        "config": _own_settings(report),
-    }
-
-
-# --- Known causes of a failure.
 
 
 def known_causes(gates: Gates, dive: str, report: StoredReport) -> tuple[str, ...]:
     """Say what differs from the replay that gave the expected values: log, version of the tool, settings."""
-    gated = [gate for gate in gates.content.gate if gate.expected is not None and is_meant(gate, dive)]
+    gated = [gate for gate in gates.gates if gate.expected is not None and gate.applies_to(dive)]
     found = (_stored_settings(gate, expected_path(gates, gate, dive)) for gate in gated)
     stored = next((values for values in found if values is not None), None)
     if stored is None:
@@ -143,7 +86,7 @@ def known_causes(gates: Gates, dive: str, report: StoredReport) -> tuple[str, ..
 
 def _stored_settings(gate: Gate, path: Path) -> StoredReport | None:
     """Read the settings that are stored with expected values; a file of a trajectory has them in a file of its own."""
-    if gate.table != TRAJECTORY:
+    if isinstance(gate, CellGate):
         values = stored_values(gate, path)
         return values if isinstance(values, StoredReport) else None
     try:
@@ -151,6 +94,62 @@ def _stored_settings(gate: Gate, path: Path) -> StoredReport | None:
             return msgspec.json.decode(arrays.read(_SETTINGS_FILE), type=StoredReport)
     except (OSError, KeyError, BadZipFile, msgspec.DecodeError):
         return None
+
+
+# --- Write.
+
+
+def with_expected(gates: Gates, dives: Sequence["Checked"]) -> Iterator[tuple[Gate, "Checked", StoredReport]]:
+    """Yield each gate that has expected values, with each dive that it applies to and its result."""
+    for gate in gates.gates:
+        if gate.expected is not None and gate.level != GateLevel.OFF:
+            for dive in dives:
+                if isinstance(dive.result, StoredReport) and gate.applies_to(dive.name):
+                    yield gate, dive, dive.result
+
+
+def write_expected(gates: Gates, dives: Sequence["Checked"]) -> list[Path]:
+    """Store the gated values and trajectories; return the files."""
+    written: dict[Path, tuple[Checked, StoredReport, list[Gate]]] = {}
+    for gate, dive, report in with_expected(gates, dives):
+        path = expected_path(gates, gate, dive.name)
+        owner, _, sharing = written.setdefault(path, (dive, report, []))
+        if owner is not dive:
+            raise ConfigError(f"{gates.where(gate)}: several dives share {path}", f"use {LOG} for the dive's name")
+        if sharing and type(sharing[0]) is not type(gate):
+            text = f"{gates.where(gate)}: a trajectory and tables share {path}"
+            raise ConfigError(text, "use a separate file for the trajectory")
+        sharing.append(gate)
+    for path, (dive, report, sharing) in written.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        on_cells = [gate for gate in sharing if isinstance(gate, CellGate)]
+        with result_file(path, force=True) as file:
+            if on_cells:
+                file.write_bytes(as_json(_gated_values(report, on_cells)))
+            else:
+                file.write_bytes(read_file(dive.folder / TRAJECTORY_FILE))
+                with ZipFile(file, "a") as arrays:
+                    arrays.writestr(ZipInfo(_SETTINGS_FILE), as_json(_gated_values(report, [])))
+    return list(written)
+
+
+def _gated_values(report: StoredReport, gates: Sequence[CellGate]) -> dict[str, Any]:
+    """Return the gated values with their names, what a comparison needs, and the settings, readable in a review."""
+    tables: dict[str, dict[tuple[str, ...], Row]] = {}
+    for gate in gates:
+        for pair in gate.rows_of(None, report):
+            kept = tables.setdefault(gate.table, {}).setdefault((pair.filter, pair.row, pair.unit), {})
+            needed = ("log", "filter", pair.layout.key, "unit", "dof", "evidence", gate.column)
+            kept.update({column: pair.new[column] for column in needed if column in pair.new})
+    candidates = tables.pop(CANDIDATES.name, {}).values()
+    return {
+        "tool": {name: report.tool[name] for name in ("name", "version") if name in report.tool},
+        "log": {"name": report.log.name, "sha256": report.log.sha256},
+        "tables": {name: list(rows.values()) for name, rows in tables.items()},
+        "baseline": report.baseline,
+        "filters": {str(row["filter"]): row for row in candidates},
+        "config": _own_settings(report),
+    }
 
 
 def _own_settings(report: StoredReport) -> dict[str, Any]:

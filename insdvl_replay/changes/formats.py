@@ -1,7 +1,6 @@
 """The outcome of the gates as text, Markdown for a merge request, page, JSON, JUnit XML, and annotations on GitHub."""
 
 import re
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Final
 from xml.etree import ElementTree
@@ -14,7 +13,6 @@ from insdvl_replay.changes.gates import EVERY_DIVE, NOT_EXPECTED, CheckResult, F
 from insdvl_replay.core.errors import counted, visible, visible_lines
 from insdvl_replay.core.result import Block, Callout, DisplayTable, Part, Result, Title, Tool, this_tool
 from insdvl_replay.core.words import GateStatus
-from insdvl_replay.show.document import MISSING
 from insdvl_replay.show.render import render
 
 # By status: word before a gate, word after a count, element of JUnit XML.
@@ -56,31 +54,44 @@ def in_format(found: CheckResult, format_: str) -> str:
     return render(check_result(found), format_)
 
 
+# --- A document, and text.
+
+
 def check_result(found: CheckResult) -> Result:
     """Return the outcome of the gates, with the gated values that differ from the expected ones."""
-    *others, counted_gates = _counts(found)
     tone = "bad" if any(found.count(status) for status in _ERRORS) else "good"
-    parts: list[Part] = [Title("Gates"), Callout(counted_gates, tone), *others]
+    parts: list[Part] = [Title("Gates"), Callout(check_sentence(found), tone), *_trajectory_counts(found)]
     for name, words in found.words.items():
         parts.append(f"{name} against the baseline: {', '.join(f'{count} {word}' for word, count in words.items())}")
     if missed := _missed(found):
         rows = tuple((WORDS[item.status][0], item.dive, item.gate, item.explained) for item in missed)
         parts.append(DisplayTable("Gates that did not pass", ("", "dive", "gate", "why"), "llll", rows))
-    cells = [(item.dive, cell) for item in found.outcomes for cell in item.findings if cell.passed]
     moved = [
-        (dive, cell.sentence) for dive, cell in cells if cell.expected is not None and len(set(_values(cell)[:2])) > 1
+        (item.dive, cell.sentence)
+        for item in found.outcomes
+        for cell in item.findings
+        if cell.passed and cell.expected is not None and cell.is_new
     ]
     if moved:
         more = f"and {len(moved) - MOST_MOVED} more" if len(moved) > MOST_MOVED else ""
-        parts.append(
-            DisplayTable("Changed within the limits", ("dive", "value"), "ll", tuple(moved[:MOST_MOVED]), more)
-        )
+        title = "Changed within the limits"
+        parts.append(DisplayTable(title, ("dive", "value"), "ll", tuple(moved[:MOST_MOVED]), more))
     parts.append(DisplayTable("Gates", ("gate", "passed"), "ll", tuple(_passed(found))))
     counts = {status.name.lower(): found.count(status) for status in GateStatus}
     report = CheckReport(this_tool(), found.gates, **counts, outcomes=found.outcomes)
     every = [(item.dive, item.gate, str(item.status), "; ".join(item.explained)) for item in found.outcomes]
     tables = {"gates": Block(("dive", "gate", "status", "why"), every)}
     return Result("check", "Gates", tables=tables, document=parts, data=report)
+
+
+def check_text(found: CheckResult) -> str:
+    """Return the counts, the gates that did not pass, and the number of passed dives of each gate."""
+    lines = [check_sentence(found), *_trajectory_counts(found), ""]
+    for item in _missed(found):
+        lines += [f"{WORDS[item.status][0]}  {item.dive}: {item.gate}", *(f"    {reason}" for reason in item.explained)]
+    lines += [""] if lines[-1] else []
+    lines += [f"{name}: {passed}" for name, passed in _passed(found)]
+    return "".join(f"{visible(line)}\n" for line in lines)
 
 
 def check_sentence(found: CheckResult) -> str:
@@ -91,24 +102,14 @@ def check_sentence(found: CheckResult) -> str:
     return f"{counted(gates, 'gate')} on {counted(dives, 'dive') if dives else 'all dives together'}: {counts}"
 
 
-def _counts(found: CheckResult) -> list[str]:
-    """Return the counts of changed trajectories, if gates compare them, and of the gates."""
-    held = [item for item in found.outcomes if item.is_trajectory]
-    errors = {item.dive for item in held if item.status == GateStatus.UNUSABLE or not item.findings}
-    changed = {item.dive for item in held if not all(finding.passed for finding in item.findings)} - errors
-    unchanged = {item.dive for item in held} - errors - changed
-    sentence = f"trajectories: {len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
-    return [*([sentence] if held else []), check_sentence(found)]
-
-
-def check_text(found: CheckResult) -> str:
-    """Return the counts, the gates that did not pass, and the number of passed dives of each gate."""
-    lines = [*_counts(found)[::-1], ""]
-    for item in _missed(found):
-        lines += [f"{WORDS[item.status][0]}  {item.dive}: {item.gate}", *(f"    {reason}" for reason in item.explained)]
-    lines += [""] if lines[-1] else []
-    lines += [f"{name}: {passed}" for name, passed in _passed(found)]
-    return "".join(f"{visible(line)}\n" for line in lines)
+def _trajectory_counts(found: CheckResult) -> list[str]:
+    """Return the counts of changed trajectories, if gates compare them."""
+    compared = [item for item in found.outcomes if item.is_trajectory]
+    errors = {item.dive for item in compared if item.status == GateStatus.UNUSABLE or not item.findings}
+    changed = {item.dive for item in compared if not all(finding.passed for finding in item.findings)} - errors
+    unchanged = {item.dive for item in compared} - errors - changed
+    counts = f"{len(changed)} changed, {len(unchanged)} unchanged, {len(errors)} errors"
+    return [f"trajectories: {counts}"] if compared else []
 
 
 def _missed(found: CheckResult) -> list[GateOutcome]:
@@ -127,37 +128,41 @@ def _passed(found: CheckResult) -> Iterator[tuple[str, str]]:
         yield name, text
 
 
+# --- For machines of others.
+
+
 def junit_xml(found: CheckResult) -> str:
     """Write JUnit XML: seconds of each dive's replay, in equal shares by gate; file and line of each gate."""
 
     def counts(outcomes: Sequence[GateOutcome], elapsed_s: float) -> dict[str, str]:
-        statuses = Counter(item.status for item in outcomes)
-        failed, unusable = (str(statuses[status]) for status in (GateStatus.FAILED, GateStatus.UNUSABLE))
-        return {"tests": str(len(outcomes)), "failures": failed, "errors": unusable, "time": f"{elapsed_s:.3f}"}
+        failures, errors = (
+            str(sum(item.status == status for item in outcomes)) for status in (GateStatus.FAILED, GateStatus.UNUSABLE)
+        )
+        return {"tests": str(len(outcomes)), "failures": failures, "errors": errors, "time": f"{elapsed_s:.3f}"}
+
+    def clean(text: str) -> str:
+        """Escape control characters, and replace other characters that XML does not allow."""
+        return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
 
     total_s = sum(found.elapsed_s.values())
-    root = ElementTree.Element("testsuites", {"name": _clean(found.gates), **counts(found.outcomes, total_s)})
+    root = ElementTree.Element("testsuites", {"name": clean(found.gates), **counts(found.outcomes, total_s)})
     for dive in dict.fromkeys(item.dive for item in found.outcomes):
         own, elapsed_s = [item for item in found.outcomes if item.dive == dive], found.elapsed_s.get(dive, 0.0)
         skipped = str(sum(WORDS[item.status][2] == "skipped" for item in own))
-        attributes = {"name": _clean(dive), **counts(own, elapsed_s), "skipped": skipped}
+        attributes = {"name": clean(dive), **counts(own, elapsed_s), "skipped": skipped}
         suite = ElementTree.SubElement(root, "testsuite", attributes)
         for item in own:
-            place = {"file": _clean(found.gates), **({"line": str(item.line)} if item.line else {})}
-            names = {"classname": _clean(item.dive), "name": _clean(item.gate), "time": f"{elapsed_s / len(own):.3f}"}
-            case, lines = ElementTree.SubElement(suite, "testcase", names | place), [*map(visible, item.explained)]
-            if element := WORDS[item.status][2]:
-                kind = {} if element == "skipped" else {"type": item.status}
-                message = {"message": _clean("; ".join(lines) or item.status), **kind}
+            place = {"file": clean(found.gates), **({"line": str(item.line)} if item.line else {})}
+            names = {"classname": clean(item.dive), "name": clean(item.gate), "time": f"{elapsed_s / len(own):.3f}"}
+            case = ElementTree.SubElement(suite, "testcase", names | place)
+            element, lines = WORDS[item.status][2], [visible(line) for line in item.explained]
+            if element:
+                attributes = {"message": clean("; ".join(lines) or item.status)}
+                attributes |= {} if element == "skipped" else {"type": item.status}
                 where = [":".join(place.values())] if lines else []
-                ElementTree.SubElement(case, element, message).text = _clean("\n".join([*lines, *where]))
+                ElementTree.SubElement(case, element, attributes).text = clean("\n".join([*lines, *where]))
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
-
-
-def _clean(text: str) -> str:
-    """Escape control characters, and replace other characters that XML does not allow."""
-    return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", visible_lines(text))
 
 
 def github_annotations(found: CheckResult) -> str:
@@ -185,32 +190,21 @@ def github_annotations(found: CheckResult) -> str:
     return "".join(f"{line}\n" for line in (*lines, check_sentence(found)))
 
 
+# --- New expected values.
+
+
 def update_text(
     changes: Sequence[tuple[str, Finding]],  # dive and cell
 ) -> str:
     """Return the changes of the expected values: each new or changed one, and the number of unchanged ones."""
-    moved, shown = 0, list[str]()
+    lines = []
     for dive, cell in changes:
-        was, now, unit = _values(cell)
-        if cell.table == TRAJECTORY:
-            moved += not cell.passed
-            if not cell.passed:
-                shown.append(f"{dive}: trajectory of {cell.sentence.replace(f': {NOT_EXPECTED}', ' is new')}")
-            continue
-        moved += len(set(_values(cell, 9)[:2])) > 1  # with the digits on which all processors agree
-        if was != now:
-            place = cell_name(cell.table, cell.filter, cell.row, cell.column)
-            new = f"{place} is new: {now}{unit}"
-            shown.append(f"{dive}: {new if cell.expected is None else cell.sentence}")
-    unseen = f"{moved - len(shown)} changed beyond four digits, " if moved > len(shown) else ""
-    count = f"{counted(len(shown), 'value')} new or changed, {unseen}{len(changes) - moved} unchanged"
-    return "".join(f"{visible(line)}\n" for line in (*shown, count))
-
-
-def _values(cell: Finding, digits: int = 4) -> tuple[str, str, str]:
-    """Return the expected value, the new value, and the unit with a leading blank."""
-    was, now = (
-        MISSING if value is None else f"{value:.{digits}g}" if isinstance(value, float) else str(value)
-        for value in (cell.expected, cell.value)
-    )
-    return was, now, f" {cell.unit}" if cell.unit else ""
+        if cell.is_new:
+            text = cell.sentence.replace(f": {NOT_EXPECTED}", " is new")
+            if cell.expected is None and cell.table != TRAJECTORY:
+                value = f"{cell.value:.4g}" if isinstance(cell.value, float) else cell.value
+                name = cell_name(cell.table, cell.filter, cell.row, cell.column)
+                text = f"{name} is new: {value}{f' {cell.unit}' if cell.unit else ''}"
+            lines.append(f"{dive}: {'trajectory of ' if cell.table == TRAJECTORY else ''}{text}")
+    count = f"{counted(len(lines), 'value')} new or changed, {len(changes) - len(lines)} print the same"
+    return "".join(f"{visible(line)}\n" for line in (*lines, count))

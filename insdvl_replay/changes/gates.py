@@ -4,24 +4,32 @@ A missing, empty or non-numeric value never passes. Some gates compare a value, 
 stored in `expected`.
 """
 
-import difflib
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import msgspec
 from msgspec import Struct
 from msgspec.structs import asdict, replace
 
-from insdvl_replay.changes.cells import Moved, agree, cell_name, judge_cell, named_rows
+from insdvl_replay.changes.cells import (
+    Moved,
+    RowPair,
+    agree,
+    cell_name,
+    is_number,
+    judge_cell,
+    prints_the_same,
+)
 from insdvl_replay.changes.expected import expected_of, expected_path, known_causes, stored_values, with_expected
-from insdvl_replay.changes.gate_file import ANY, POOLED, TRAJECTORY, Gate, Gates, is_meant
+from insdvl_replay.changes.gate_file import ANY, POOLED, TRAJECTORY, CellGate, Gate, Gates, TrajectoryGate
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError
-from insdvl_replay.core.result import Cell, Report, Row, StoredLog, StoredReport
+from insdvl_replay.core.result import Cell, Row, StoredLog, StoredReport
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
-from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow, TableLayout
+from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow
 from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus, Verdict
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE
 from insdvl_replay.results.stored_results import read_results
@@ -58,6 +66,15 @@ class Finding(Struct, frozen=True):
     unit: str = ""  # of the two values
     limit: str = ""  # allowed loss against the expected value
 
+    @property
+    def is_new(self) -> bool:
+        """Whether the value prints another number than the expected one; of a trajectory, whether it differs."""
+        if self.table == TRAJECTORY:
+            return not self.passed
+        if is_number(self.expected) and is_number(self.value):
+            return not prints_the_same(self.expected, self.value, self.column)
+        return self.expected != self.value
+
 
 class GateOutcome(Struct, frozen=True):
     """The outcome of one gate on one dive."""
@@ -91,21 +108,14 @@ class CheckResult(Struct, frozen=True):
 
 
 class Checked(NamedTuple):
-    """A dive's name, its result or the error, and the folder of the result."""
+    """A dive to check."""
 
     name: str
     result: StoredReport | Exception
-    folder: Path | None = None
+    folder: Path  # of the result
 
 
 # --- Dives.
-
-
-def checked_replay(folder: Path, result: Report | Exception) -> Checked:
-    """Return a replayed dive to check."""
-    if isinstance(result, Exception):
-        return Checked(folder.name, result, folder)
-    return Checked(folder.name, msgspec.json.decode(msgspec.json.encode(result), type=StoredReport), folder)
 
 
 def checked_results(folder: Path) -> Iterator[Checked]:
@@ -119,41 +129,9 @@ def checked_results(folder: Path) -> Iterator[Checked]:
                 f"{result.folder / COMPLETE}: log.name = {result.name[:LONGEST_NAME]!r} is not a valid name of a dive",
                 "replay its log again; the dive gets the name of the file",
             )
-            yield Checked(result.folder.name, error)
+            yield Checked(result.folder.name, error, result.folder)
     except UserError as error:
-        yield Checked(folder.name, error)
-
-
-def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
-    """Evaluate every gate on the dives it applies to, and gates on the pooled evidence on all together."""
-    outcomes = list[GateOutcome]()
-    for dive in dives:
-        own = [gate for gate in gates.content.gate if gate.table != POOLED and is_meant(gate, dive.name)]
-        outcomes += _with_causes(gates, dive, [_evaluated(gates, gate, dive) for gate in own])
-    for gate in gates.content.gate:
-        if gate.table == POOLED:
-            outcomes.append(_evaluated(gates, gate, pooled_dive(dives)))
-        share_pct, of_gate = gate.share_of_dives_pct, [item for item in outcomes if item.gate == gate.name]
-        passed = sum(item.status == GateStatus.PASSED for item in of_gate)
-        # Failures on single dives are warnings if enough dives passed.
-        if share_pct is not None and of_gate and 100.0 * passed >= share_pct * len(of_gate):
-            reason = f"passed on {passed} of {len(of_gate)} dives, required: {share_pct:g} %"
-            outcomes = [
-                replace(item, status=GateStatus.WARNING, reasons=(*item.reasons, reason))
-                if item.gate == gate.name and item.status == GateStatus.FAILED
-                else item
-                for item in outcomes
-            ]
-    outcomes.sort(key=lambda item: list(GateStatus).index(item.status))
-    words: dict[str, dict[str, int]] = {}
-    elapsed_s = dict[str, float]()
-    for dive in dives:
-        if isinstance(dive.result, StoredReport) and _is_number(seconds := dive.result.tool.get("elapsed_s")):
-            elapsed_s[dive.name] = float(seconds)
-        for name, candidate in (dive.result.filters if isinstance(dive.result, StoredReport) else {}).items():
-            counts, word = words.setdefault(name, {}), str(candidate.get("verdict", ""))
-            counts[word] = counts.get(word, 0) + 1
-    return CheckResult(str(gates.path), tuple(outcomes), words, elapsed_s)
+        yield Checked(folder.name, error, folder)
 
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
@@ -162,7 +140,7 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
 
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:
-        return Checked(EVERY_DIVE, ResultError("no dive has a result", "see the dives above"))
+        return Checked(EVERY_DIVE, ResultError("no dive has a result", "see the dives above"), Path())
     rows = list[Row]()
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         evidence = [
@@ -171,29 +149,67 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
             if name in report.filters and report.filters[name].get("verdict") != Verdict.NOT_EVALUATED
         ]
         rows += [asdict(row) for row in pooled_evidence(name, msgspec.convert(evidence, list[list[EvidenceRow]]))]
-    return Checked(EVERY_DIVE, StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline))
+    report = StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline)
+    return Checked(EVERY_DIVE, report, Path())
 
 
-def _with_causes(gates: Gates, dive: Checked, outcomes: list[GateOutcome]) -> list[GateOutcome]:
-    """Add the known causes to the gates of a dive that did not pass."""
-    missed = (GateStatus.FAILED, GateStatus.WARNING)
-    if not (isinstance(dive.result, StoredReport) and any(item.status in missed for item in outcomes)):
-        return outcomes
-    causes = known_causes(gates, dive.name, dive.result)
-    return [replace(item, causes=causes) if item.status in missed else item for item in outcomes]
+# --- All gates.
 
 
-def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
-    held = gate.table == TRAJECTORY and gate.expected is not None
-    outcome = GateOutcome(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0), is_trajectory=held)
+def evaluate_gates(gates: Gates, dives: Sequence[Checked]) -> CheckResult:
+    """Evaluate every gate on the dives it applies to, and gates on the pooled evidence on all together."""
+    outcomes, missed = list[GateOutcome](), (GateStatus.FAILED, GateStatus.WARNING)
+    for dive in dives:
+        own = [gate for gate in gates.gates if gate.table != POOLED and gate.applies_to(dive.name)]
+        found = [_outcome(gates, gate, dive) for gate in own]
+        if isinstance(dive.result, StoredReport) and any(item.status in missed for item in found):
+            causes = known_causes(gates, dive.name, dive.result)
+            found = [replace(item, causes=causes) if item.status in missed else item for item in found]
+        outcomes += found
+    for gate in gates.gates:
+        if gate.table == POOLED:
+            outcomes.append(_outcome(gates, gate, pooled_dive(dives)))
+        if gate.share_of_dives_pct is not None:
+            outcomes = _with_share(gate, gate.share_of_dives_pct, outcomes)
+    outcomes.sort(key=lambda item: list(GateStatus).index(item.status))
+    reports = {dive.name: dive.result for dive in dives if isinstance(dive.result, StoredReport)}
+    words: dict[str, Counter[str]] = {}
+    for report in reports.values():
+        for name, candidate in report.filters.items():
+            words.setdefault(name, Counter())[str(candidate.get("verdict", ""))] += 1
+    elapsed_s = {
+        name: float(seconds) for name, report in reports.items() if is_number(seconds := report.tool.get("elapsed_s"))
+    }
+    return CheckResult(str(gates.path), tuple(outcomes), {**words}, elapsed_s)
+
+
+def _with_share(gate: Gate, share_pct: float, outcomes: Sequence[GateOutcome]) -> list[GateOutcome]:
+    """Make failures of a gate on single dives warnings, if a large enough share of the dives passed."""
+    own = [item for item in outcomes if item.gate == gate.name]
+    passed = sum(item.status == GateStatus.PASSED for item in own)
+    if not own or 100.0 * passed < share_pct * len(own):
+        return [*outcomes]
+    reason = f"passed on {passed} of {len(own)} dives, required: {share_pct:g} %"
+    return [
+        replace(item, status=GateStatus.WARNING, reasons=(*item.reasons, reason))
+        if item.gate == gate.name and item.status == GateStatus.FAILED
+        else item
+        for item in outcomes
+    ]
+
+
+def _outcome(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
+    """Evaluate a gate on a dive."""
+    outcome = GateOutcome(dive.name, gate.name, GateStatus.OFF, line=gates.lines.get(gate.name, 0))
     if gate.level == GateLevel.OFF:
-        return replace(outcome, is_trajectory=False)
+        return outcome
+    outcome = replace(outcome, is_trajectory=gate.table == TRAJECTORY and gate.expected is not None)
     if isinstance(dive.result, Exception):
         return replace(outcome, status=GateStatus.UNUSABLE, reasons=(str(dive.result),))
     findings: tuple[Finding, ...] = ()
     try:
         expected = None if gate.expected is None else expected_of(gates, gate, dive.result.log)
-        findings = _findings(gate, dive, dive.result, expected)
+        findings = findings_of(gate, dive.result, dive.folder, expected)
         reasons = tuple(finding.sentence for finding in findings if not finding.passed)
     except UserError as error:
         reasons = (f"{error.message}; {error.hint}",)
@@ -201,127 +217,122 @@ def _evaluated(gates: Gates, gate: Gate, dive: Checked) -> GateOutcome:
     return replace(outcome, status=missed if reasons else GateStatus.PASSED, reasons=reasons, findings=findings)
 
 
-def _findings(gate: Gate, dive: Checked, report: StoredReport, expected: Any) -> tuple[Finding, ...]:
-    if gate.table == TRAJECTORY:
-        return trajectory_findings(gate, _trajectory(dive), expected)
-    return gate_findings(gate, report, expected)
-
-
-def _trajectory(dive: Checked) -> "Trajectory | None":
+def findings_of(
+    gate: Gate, report: StoredReport, folder: Path, expected: "StoredReport | Trajectory | None"
+) -> tuple[Finding, ...]:
+    """Return what a gate finds in a result, in its tables or in its trajectory."""
+    if isinstance(gate, CellGate):
+        return gate_findings(gate, report, expected if isinstance(expected, StoredReport) else None)
+    assert isinstance(gate, TrajectoryGate)
+    assert not isinstance(expected, StoredReport)
     from insdvl_replay.results.trajectory import read_trajectory
 
-    return None if dive.folder is None else read_trajectory(dive.folder / TRAJECTORY_FILE)
+    return trajectory_findings(gate, read_trajectory(folder / TRAJECTORY_FILE), expected)
+
+
+def compare_with_expected(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
+    """Return dive and cell of every gate with expected values, compared with what is stored, if anything is."""
+    return [
+        (dive.name, finding)
+        for gate, dive, report in with_expected(gates, dives)
+        for finding in findings_of(
+            gate, report, dive.folder, stored_values(gate, expected_path(gates, gate, dive.name))
+        )
+    ]
 
 
 # --- Gates on cells.
 
 
-def gate_findings(gate: Gate, report: StoredReport, expected: StoredReport | None) -> tuple[Finding, ...]:
-    """Return a finding for each cell that a gate checks; one failed finding if it checks none."""
-    findings, column = list[Finding](), gate.column
-    for layout in gate.layouts:
-        rows, stored = named_rows(report, layout), named_rows(expected, layout) if expected else {}
-        # A star in the gate also checks rows that only the expected values have.
-        for name in dict.fromkeys((*rows, *stored)):
-            row, was = rows.get(name, {}), stored.get(name, {})
-            if not gate.is_about(name, row or was):
-                continue
-            old, value, unit = was.get(column), row.get(column), layout.unit_of(column, name[2])
-            limit, complaint = "", f"is missing, and so is its row; expected: {value_text(old)}"
-            statement = f"is {value_text(value)}{f' {unit}' if unit else ''}"
-            if row:
-                moved = None
-                if gate.expected is not None and _is_number(old) and _is_number(value):
-                    moved = judge_cell(was, row, column, layout, gate.max_worse_pct, gate.max_worse_abs)
-                    limit = _limit(gate, layout, unit)
-                    statement = _moved_text(old, value, unit, column, moved, limit)
-                is_evaluated = report.filters.get(name[0], {}).get("verdict") != Verdict.NOT_EVALUATED
-                complaints = _complaints(gate, layout, row, moved, unit, statement, is_evaluated=is_evaluated)
-                complaint = "; ".join(complaints)
-            sentence = f"{cell_name(layout.name, *name[:2], column, report.baseline)} {complaint or statement}"
-            place = layout.name, *name[:2], column
-            findings.append(Finding(*place, old, value, sentence, not complaint, unit if row else "", limit))
-    if findings:
-        return tuple(findings)
-    # Suggest a similar name.
-    names, nearest = [name for layout in gate.layouts for name in named_rows(report, layout)], list[str]()
-    for wanted, known in ((gate.filter, {name[0] for name in names}), (gate.row, {name[1] for name in names})):
-        if wanted not in (ANY, *known):
-            nearest = difflib.get_close_matches(wanted, sorted(known), n=1, cutoff=0.5)
+def gate_findings(gate: CellGate, report: StoredReport, expected: StoredReport | None) -> tuple[Finding, ...]:
+    """Return a finding for each cell that a gate checks; one failed finding if it checks none.
+
+    A star in the gate also checks rows that only the expected values have.
+    """
+    if found := tuple(_finding(gate, pair, report) for pair in gate.rows_of(expected, report)):
+        return found
     sentence = (
-        f"{report.log.name} has no row for table {gate.table}, filter {gate.filter}, row {gate.row}, column {column}"
-        f"{''.join(f'; did you mean {near}?' for near in nearest)}"
+        f"{report.log.name} has no row for table {gate.table}, filter {gate.filter}, row {gate.row}, "
+        f"column {gate.column}"
     )
-    return (Finding(gate.table, gate.filter, gate.row, column, None, None, sentence, passed=False),)
+    return (Finding(gate.table, gate.filter, gate.row, gate.column, None, None, sentence, passed=False),)
 
 
-def _complaints(
-    gate: Gate, layout: TableLayout, row: Row, moved: Moved | None, unit: str, statement: str, *, is_evaluated: bool
-) -> Iterator[str]:
-    """Yield the reasons why a cell does not pass."""
-    column, value = gate.column, row.get(gate.column)
+def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
+    """Check one cell."""
+    column, layout = gate.column, pair.layout
+    old, value, unit = pair.old.get(column), pair.new.get(column), layout.unit_of(column, pair.unit)
+    in_unit, percent = f" {unit}" if unit else "", "points" if column.endswith(PERCENTAGE) else "%"
+    moved, limit, statement = None, "", f"is {value_text(value)}{in_unit}"
+    if gate.expected is not None and is_number(old) and is_number(value):
+        moved = judge_cell(pair, column, gate.max_worse_pct, gate.max_worse_abs)
+        # Both values, their change and the allowed loss with its sign: ``1.54 -> 3.27 m (+112 %, limit +5 %)``.
+        sign = "-" if layout.better.get(column) == "higher" else "+"
+        limits = [
+            *([] if gate.max_worse_pct is None else [f"{sign}{gate.max_worse_pct:g} {percent}"]),
+            *([] if gate.max_worse_abs is None else [f"{sign}{gate.max_worse_abs:g}{in_unit}"]),
+        ]
+        limit, is_same = " or ".join(limits), agree(value, old, column)  # processors differ in the last digits
+        of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(moved.better or "", "")
+        growth = [] if moved.change_pct is None else [f"{0.0 if is_same else moved.change_pct:+.3g} {percent}{of_size}"]
+        values = " -> ".join(numbers_apart(old, old if is_same else value))
+        statement = f"{values}{in_unit} ({', '.join([*growth, f'limit {limit}'])})"
+    complaint = f"is missing, and so is its row; expected: {value_text(old)}"
+    if pair.new:
+        is_evaluated = report.filters.get(pair.filter, {}).get("verdict") != Verdict.NOT_EVALUATED
+        complaint = _why_unusable(pair, column, is_evaluated=is_evaluated)
+        complaint = complaint or "; ".join(_broken_conditions(gate, value, in_unit, moved, statement))
+    return Finding(
+        table=layout.name,
+        filter=pair.filter,
+        row=pair.row,
+        column=column,
+        expected=old,
+        value=value,
+        sentence=f"{cell_name(layout.name, pair.filter, pair.row, column, report.baseline)} {complaint or statement}",
+        passed=not complaint,
+        unit=unit if pair.new else "",
+        limit=limit,
+    )
+
+
+def _why_unusable(pair: RowPair, column: str, *, is_evaluated: bool) -> str:
+    """Return why a value can meet no condition; empty if it can."""
+    layout, row, value = pair.layout, pair.new, pair.new.get(column)
     # A gain or loss fails if the filter is not evaluated; the verdict itself can pass.
     is_relative = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_relative and column in layout.better)
     if is_gain and not is_evaluated:
-        yield f"is {value_text(value)}, but the filter is {Verdict.NOT_EVALUATED}"
-        return
+        return f"is {value_text(value)}, but the filter is {Verdict.NOT_EVALUATED}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
         covered = f"the reference does not cover the whole replay ({ReferenceStatus.PARTLY_COVERED})"
-        yield f"is {value_text(value)}, but {covered}"
-        return
+        return f"is {value_text(value)}, but {covered}"
     if value in (None, "") or (isinstance(value, float) and not math.isfinite(value)):
         word = row.get("status") or row.get("verdict")
-        yield f"is empty{f' ({word})' if word else ''}"
-        return
-    if gate.equals is not None:
-        is_close = any(_is_number(wanted) and isinstance(value, float) and agree(value, wanted, column)
-                       for wanted in gate.wanted)  # fmt: skip
-        if (value not in gate.wanted or isinstance(value, bool)) and not is_close:
-            yield f"is {value_text(value)}, required: {' or '.join(map(value_text, gate.wanted))}"
+        return f"is empty{f' ({word})' if word else ''}"
+    return ""
+
+
+def _broken_conditions(gate: CellGate, value: Cell, unit: str, moved: Moved | None, statement: str) -> Iterator[str]:
+    """Yield the conditions that a value does not meet."""
+    close = [wanted for wanted in gate.wanted if is_number(wanted) and isinstance(value, float)
+             and agree(value, wanted, gate.column)]  # fmt: skip
+    if gate.wanted and (value not in gate.wanted or isinstance(value, bool)) and not close:
+        yield f"is {value_text(value)}, required: {' or '.join(map(value_text, gate.wanted))}"
     for name, sign, limit in (("least", 1.0, gate.min), ("most", -1.0, gate.max)):
         if limit is None:
             continue
-        if not _is_number(value):
+        if not is_number(value):
             yield f"is the word {value!r}, required: a number"
             break
-        if not (sign * (value - limit) >= 0.0 or agree(value, limit, column)):
-            yield f"is {value_text(value)}{f' {unit}' if unit else ''}, required: at {name} {value_text(limit)}"
-    if gate.expected is None:
-        return
-    if moved is None:
+        if not (sign * (value - limit) >= 0.0 or agree(value, limit, gate.column)):
+            yield f"is {value_text(value)}{unit}, required: at {name} {value_text(limit)}"
+    if gate.expected is not None and moved is None:
         yield "has no expected number"
-    elif moved.better is None:
+    elif moved is not None and moved.better is None:
         yield "cannot be compared: degrees of freedom (dof) are missing here or in the expected values"
-    elif moved.verdict == ChangeVerdict.WORSE:
+    elif moved is not None and moved.verdict == ChangeVerdict.WORSE:
         yield statement
-
-
-def _is_number(value: Cell) -> TypeGuard[float | int]:
-    """Return whether a value is a number; ``true`` and ``false`` are not."""
-    return isinstance(value, float | int) and not isinstance(value, bool)
-
-
-def _moved_text(old: float, new: float, unit: str, column: str, moved: Moved, limit: str) -> str:
-    """Write a change against the expected value with its limit, such as ``1.54 -> 3.27 m (+112 %, limit +5 %)``."""
-    of_size = {"nearer zero": " in magnitude", "nearer dof": " farther from dof"}.get(moved.better or "", "")
-    is_same = agree(new, old, column)  # processors differ in the last digits
-    change_pct = 0.0 if is_same and moved.change_pct is not None else moved.change_pct
-    growth = [] if change_pct is None else [f"{change_pct:+.3g} {_percent(column)}{of_size}"]
-    pair = " -> ".join(numbers_apart(old, old if is_same else new))
-    return f"{pair}{f' {unit}' if unit else ''} ({', '.join([*growth, f'limit {limit}'])})"
-
-
-def _limit(gate: Gate, layout: TableLayout, unit: str) -> str:
-    """Write the allowed loss with the sign of a loss."""
-    sign = "-" if layout.better.get(gate.column) == "higher" else "+"
-    percent = "" if gate.max_worse_pct is None else f"{sign}{gate.max_worse_pct:g} {_percent(gate.column)}"
-    absolute = "" if gate.max_worse_abs is None else f"{sign}{gate.max_worse_abs:g}{f' {unit}' if unit else ''}"
-    return " or ".join(filter(None, (percent, absolute)))
-
-
-def _percent(column: str) -> str:
-    return "points" if column.endswith(PERCENTAGE) else "%"
 
 
 def value_text(value: Cell) -> str:
@@ -333,29 +344,32 @@ def value_text(value: Cell) -> str:
 
 
 def trajectory_findings(
-    gate: Gate,
+    gate: TrajectoryGate,
     new: "Trajectory | None",  # of the result; None if it has none
     old: "Trajectory | None",  # the expected one, for a gate that compares with it
 ) -> tuple[Finding, ...]:
     """Return a finding for each filter that a gate checks; one failed finding if it checks none."""
+
+    def finding(filter_: str, row: str, sentence: str, *, passed: bool) -> Finding:
+        return Finding(TRAJECTORY, filter_, row, "", None, None, sentence, passed)
+
     meant = [name for name in new.names if gate.filter in (ANY, name)] if new else []
     if new is None or not meant:
-        missing = (
-            f"no filter {gate.filter} in the result" if new else "the result has no trajectory: replay the log again"
-        )
-        return (Finding(TRAJECTORY, gate.filter, gate.row, "", None, None, missing, passed=False),)
+        missing = f"no filter {gate.filter} in the result"
+        missing = missing if new else "the result has no trajectory: replay the log again"
+        return (finding(gate.filter, gate.row, missing, passed=False),)
     findings = []
     for name in meant:
         row, sentence, passed = _over_time(gate, new, name) if gate.within else _against(gate, new, old, name)
-        findings.append(Finding(TRAJECTORY, name, row, "", None, None, f"{name}: {sentence}", passed))
+        findings.append(finding(name, row, f"{name}: {sentence}", passed=passed))
     for name in old.names if old else ():
         if name not in new.names and gate.filter in (ANY, name):
             sentence = f"{name}: is missing, but in the expected trajectory"
-            findings.append(Finding(TRAJECTORY, name, gate.row, "", None, None, sentence, passed=False))
+            findings.append(finding(name, gate.row, sentence, passed=False))
     return tuple(findings)
 
 
-def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str) -> tuple[str, str, bool]:
+def _against(gate: TrajectoryGate, new: "Trajectory", old: "Trajectory | None", name: str) -> tuple[str, str, bool]:
     """Return the first quantity that differs from the expected trajectory, a sentence, and whether it passed."""
     import numpy as np
 
@@ -389,7 +403,7 @@ def _against(gate: Gate, new: "Trajectory", old: "Trajectory | None", name: str)
     return COLUMNS[place], sentence, False
 
 
-def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, str, bool]:
+def _over_time(gate: TrajectoryGate, trajectory: "Trajectory", name: str) -> tuple[str, str, bool]:
     """Check a quantity against its band: share of the samples, longest time outside, or one time."""
     import numpy as np
 
@@ -418,18 +432,3 @@ def _over_time(gate: Gate, trajectory: "Trajectory", name: str) -> tuple[str, st
         statement = f"{share_pct:.1f} % of {len(inside)} samples, outside for {length_s:g} s at most"
     sentence = f"{gate.row} within {low:g} to {high:g}: {'; '.join(complaints) or statement}"
     return gate.row, sentence, not complaints
-
-
-def compare_with_expected(gates: Gates, dives: Sequence[Checked]) -> list[tuple[str, Finding]]:
-    """Return dive and cell of every gate with expected values, compared with what is stored, if anything is."""
-    found = list[tuple[str, Finding]]()
-    for gate, dive, result in with_expected(gates, dives):
-        expected = stored_values(gate, expected_path(gates, gate, dive.name))
-        if gate.table == TRAJECTORY and expected is None:
-            from insdvl_replay.results.trajectory import Trajectory
-
-            new = _trajectory(dive)
-            assert new is not None
-            expected = Trajectory(new.sha256, (), new.time_s, new.values[:0])  # without filters
-        found += [(dive.name, finding) for finding in _findings(gate, dive, result, expected)]
-    return found

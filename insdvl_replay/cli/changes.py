@@ -1,7 +1,7 @@
 """``insdvl-replay compare`` and ``check``: changes between results. Slow imports wait until they are needed."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,10 +13,8 @@ from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_
 from insdvl_replay.core.errors import ConfigError, LimitError, error_context, looked_for, visible
 
 if TYPE_CHECKING:
-    from insdvl_replay.batch.jobs import ReplayOptions
+    from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.changes.comparison import Comparison
-    from insdvl_replay.core.config import Config
-    from insdvl_replay.core.result import Part
 
 GATE_FAILED = 1
 
@@ -65,62 +63,72 @@ def compare(
       insdvl-replay compare before after --table reference_error --column rmse --fail-on 5%
     """
     from insdvl_replay.changes import comparison as changes
-    from insdvl_replay.changes.matching import parse_pairs
 
     limit = changes.parse_limit(fail_on)
-    tolerance_pct = changes.parse_percentage(tolerance, "--tolerance") if tolerance else None
-    selection = changes.Selection(tuple(tables), tuple(columns), tuple(dives), parse_pairs(pairs), tolerance_pct)
-    found = changes.compare_results(old, new, selection)
+    found = changes.compare_results(
+        old,
+        new,
+        tables=tables,
+        columns=columns,
+        dives=dives,
+        filter_pairs=changes.parse_pairs(pairs),
+        tolerance_pct=changes.parse_percentage(tolerance, "--tolerance") if tolerance else None,
+    )
     moved = changes.only_changed(found)
-    chosen = everything or only_changed or tables or columns or dives or format_ == "latex"
-    shown = found if everything else moved
-    brief = changes.brief_document(shown, everything=verbose > 0)
-    document = changes.comparison_document(shown) if chosen else brief
-    _print_comparison(moved if only_changed else found, document, format_, verbose, quiet=quiet)
+    all_values = bool(everything or only_changed or tables or columns or dives)
+    _print_comparison(
+        moved if only_changed else found,
+        found if everything else moved,
+        format_,
+        verbose,
+        quiet=quiet,
+        all_values=all_values,
+    )
     if worse := changes.find_violation(found, limit):
         raise LimitError(worse)
 
 
 def _print_comparison(
-    found: "Comparison", document: "Sequence[Part]", format_: str, verbose: int, *, quiet: bool
+    found: "Comparison",
+    shown: "Comparison",  # what the screen and pages have of it
+    format_: str,
+    verbose: int,
+    *,
+    quiet: bool,
+    all_values: bool,
+    command: str = "",  # the one that shows all values, if it is not the one that was typed
 ) -> None:
-    from insdvl_replay.changes.answer import answer_lines
-    from insdvl_replay.changes.comparison import comparison_result
+    from insdvl_replay.changes import comparison_document as documents
     from insdvl_replay.cli.screen import written
 
     if quiet and format_ == "table":
-        write_stdout("".join(f"{visible(line.text)}\n" for line in answer_lines(found.answers)))
+        write_stdout("".join(f"{visible(line.text)}\n" for line in documents.answer_lines(found.answers)))
     else:
-        write_stdout(written(comparison_result(found, document), format_))
+        if all_values or format_ == "latex":
+            document = documents.comparison_document(shown)
+        else:
+            document = documents.brief_document(shown, everything=verbose > 0, command=command)
+        write_stdout(written(documents.comparison_result(found, document), format_))
     log_notes(found.notes, verbose=verbose > 0)
 
 
 def answer_against(
-    dives: "Sequence[Path]",
-    output: Path,
-    options: "ReplayOptions",
-    changed: "Config",
+    sides: "Sequence[tuple[Path, Sequence[ReplayJob]]]",  # folder and replays before, and after a change of settings
+    replays: "Generator[Outcome, None, None]",  # of both
     fail_on: str | None,
     format_: str,
     verbose: int,
     *,
-    one_dive: bool,
-    jobs: int,
-    scheduler: str | None,
-    rerun: bool,
-    force: bool,
     quiet: bool,
 ) -> int:
     """Replay dives with the settings and with changed ones, and print the comparison as `compare` does."""
-    from insdvl_replay.batch.jobs import plan_both_sides
     from insdvl_replay.changes import comparison as changes
-    from insdvl_replay.cli.run import outcomes
 
     limit = changes.parse_limit(fail_on)
-    (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, output, options, changed, one_dive=one_dive)
+    (old, old_jobs), (new, _) = sides
     failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
     done = list[str]()
-    for outcome in outcomes([*old_jobs, *new_jobs], jobs, scheduler, force=force, rerun=rerun):
+    for outcome in replays:
         report = outcome.result
         if not isinstance(report, Exception):
             done.append(report.log.name)
@@ -128,16 +136,14 @@ def answer_against(
                 log_notes(report.notes, verbose=verbose > 0)
         elif str(report) not in failures:
             failures[str(report)] = log_failure(report, verbose)
-    if not (both := tuple(name for name in dict.fromkeys(done) if done.count(name) > 1)):
-        return max(failures.values())
-    found = changes.compare_results(old, new, changes.Selection(logs=both))
-    command = f"{shlex.join(['insdvl-replay', 'compare', str(old), str(new)])} "
-    shown = changes.only_changed(found)
-    brief = changes.brief_document(shown, everything=verbose > 0, command=command)
-    document = changes.comparison_document(shown) if format_ == "latex" else brief
-    _print_comparison(found, document, format_, verbose, quiet=quiet)
-    if worse := changes.find_violation(found, limit):
-        failures[worse] = log_failure(LimitError(worse), verbose)
+    if both := [name for name in dict.fromkeys(done) if done.count(name) > 1]:
+        found = changes.compare_results(old, new, dives=both)
+        command = f"{shlex.join(['insdvl-replay', 'compare', str(old), str(new)])} "
+        _print_comparison(
+            found, changes.only_changed(found), format_, verbose, quiet=quiet, all_values=False, command=command
+        )
+        if worse := changes.find_violation(found, limit):
+            failures[worse] = log_failure(LimitError(worse), verbose)
     return max(failures.values(), default=0)
 
 
@@ -211,7 +217,7 @@ def check(
     from insdvl_replay.changes import formats
     from insdvl_replay.changes import gates as gating
     from insdvl_replay.changes.expected import write_expected
-    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, require_known_names
+    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, require_known_filters
     from insdvl_replay.cli.run import outcomes
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
@@ -246,7 +252,8 @@ def check(
         histories=histories,
     )
     logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
-    require_known_names(chosen, list(options.config.filters) if len(logs) == len(paths) else None)
+    if len(logs) == len(paths):  # stored results may have other filters
+        require_known_filters(chosen, list(options.config.filters))
 
     # Replays, stored results and gates
     checked: list[gating.Checked] = []
@@ -254,12 +261,14 @@ def check(
         for path in paths:
             if path in logs:
                 outcome = next(replays)
-                checked.append(gating.checked_replay(outcome.job.target, outcome.result))
-            else:
-                checked += gating.checked_results(path)
+                path = outcome.job.target
+                if isinstance(outcome.result, Exception):
+                    checked.append(gating.Checked(path.name, outcome.result, path))
+                    continue
+            checked += gating.checked_results(path)
     codes = [log_failure(result, verbose) for _, result, _ in checked if isinstance(result, Exception)]
     if update:
-        if all(gate.expected is None for gate in content.gate):
+        if all(gate.expected is None for gate in chosen.gates):
             raise ConfigError(f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"')
         write_stdout(formats.update_text(gating.compare_with_expected(chosen, checked)))
         for file in write_expected(chosen, checked):

@@ -109,10 +109,10 @@ def run(
       insdvl-replay run dives/*.mcap --table pooled --table summary --format latex > tables.tex
       insdvl-replay run dive.mcap --tum --kml --geojson
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
-      insdvl-replay run dives/*.mcap -c vehicle.toml --against dvl.velocity_sd_mps=0.006
+      insdvl-replay run dives/*.mcap -c vehicle.toml --against dvl.beam_sd_mps=0.006
     """
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+    from insdvl_replay.batch.jobs import ReplayOptions, plan_both_sides, plan_jobs
     from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.config_file import load_config
@@ -145,10 +145,10 @@ def run(
     if changed is not None:
         from insdvl_replay.cli.changes import answer_against
 
-        return answer_against(
-            find_dives(logs), output, options, changed, fail_on, format_, verbose, one_dive=one_dive, jobs=jobs,
-            scheduler=scheduler, rerun=rerun, force=force, quiet=quiet,
-        )  # fmt: skip
+        sides = plan_both_sides(find_dives(logs), output, options, changed, one_dive=one_dive)
+        dives = [job for _, planned in sides for job in planned]
+        replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun)
+        return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
@@ -238,6 +238,8 @@ def _changed_settings(
     strict: bool,
 ) -> "Config | None":
     """Return the settings changed by ``--against``; None if there is no change to try."""
+    from msgspec.structs import replace as with_values
+
     if not against:
         if fail_on is not None:
             raise ConfigError("--fail-on: works with --against only", "`insdvl-replay compare OLD NEW --fail-on worse`")
@@ -245,6 +247,10 @@ def _changed_settings(
     changed = load(against=against)
     if changed == config:
         raise ConfigError(f"--against {against[-1]}: is the setting already", "give another value")
+    beam_sd_mps, dvl = config.dvl.beam_sd_mps, with_values(changed.dvl, velocity_sd_mps=config.dvl.velocity_sd_mps)
+    if beam_sd_mps is not None and with_values(changed, dvl=dvl) == config:
+        text = f"--against {against[-1]}: has no effect, since dvl.beam_sd_mps = {beam_sd_mps:g} decides"
+        raise ConfigError(text, "change dvl.beam_sd_mps, or add --against dvl.beam_sd_mps=none")
     if tables or strict:
         option = "--table" if tables else "--strict"
         raise ConfigError(f"--against: does not work with {option}", "use `insdvl-replay compare` afterwards")

@@ -3,6 +3,7 @@
 Of several dives, each dive is one pair, however long it is. The rules are the same as for one dive.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Final, Generic, TypeVar
 
@@ -60,6 +61,7 @@ class Answer(Struct, Generic[P], frozen=True, kw_only=True):
     dives: Annotated[int, Meta(description="dives that have the filter; of a comparison, on both sides")]
     evaluated: Annotated[int, Meta(description="of them, those in which it is evaluated; of a comparison, on a side")]
     rows: tuple[P, ...]  # evidence; of several dives, the row that decides first in front
+    reason: Annotated[str, Meta(description="why it is not evaluated on a dive: the most common reason")] = ""
 
     @property
     def known(self) -> list[P]:
@@ -94,7 +96,6 @@ class CandidateAnswer(Answer[P], frozen=True, kw_only=True):
     """The verdict on a candidate of a replay, or of several, and what it predicts by its own covariance."""
 
     log: str = EVERY_DIVE
-    reason: str = ""  # why it is not evaluated
     predicted_pct: Number  # how much smaller its predicted sigma is; of several dives the median
     prediction: str  # whether it is confirmed; empty if it is too small to be checked
     predicted: str  # both as sentences
@@ -194,14 +195,16 @@ def reason_in_words(row: Piece) -> str:
 
 
 def would_settle(verdict: Verdict, rows: Iterable[Piece]) -> str:
-    """Say how many dives like these would decide an undecided candidate; empty if these dives should be enough.
+    """Say how many dives would decide an undecided candidate; empty if these dives should be enough.
 
     This is by the first undecided row that does not depend on a single stretch of a dive.
     """
     undecided = (row for row in rows if may_decide(row) and row.verdict == EvidenceVerdict.UNDECIDED)
     row = next((row for row in undecided if isinstance(row, PooledRow) or not row.why), None)
-    if row is None or verdict != Verdict.UNDECIDED or (isinstance(row, PooledRow) and row.dives < FEWEST_DIVES):
+    if row is None or verdict != Verdict.UNDECIDED:
         return ""
+    if isinstance(row, PooledRow) and row.dives < FEWEST_DIVES:
+        return "replay more dives"
     samples, dives = (float(row.dives), row.dives) if isinstance(row, PooledRow) else (finite(row.effective_samples), 1)
     ends = finite(row.ratio), finite(row.low), finite(row.high)
     return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
@@ -307,6 +310,7 @@ def pooled_candidate(
     evidence: Sequence[Sequence[EvidenceRow]],  # of each dive in which it is evaluated
     dives: int,
     predicted_pct: Iterable[Number] = (),  # of each of these dives
+    reasons: Iterable[str] = (),  # why it is not evaluated in the other dives
 ) -> CandidateAnswer[PooledRow]:
     """Pool the evidence on one candidate; its prediction is checked by the rule for one dive, with the pooled rows.
 
@@ -321,14 +325,17 @@ def pooled_candidate(
         predicted = f"predicted: {size}, median of {counted(len(evidence), 'dive')}."
     if pct >= NOTABLE_PCT:
         predicted += f" {on_prediction(prediction, every_row, has_reference=True, dives=len(evidence))}."
+    verdict, reason = verdict_of(rows), next((why for why, _ in Counter(filter(None, reasons)).most_common(1)), "")
+    if 2 * len(evidence) <= dives:
+        verdict, reason = Verdict.NOT_EVALUATED, reason or "too few dives are evaluated"
     return CandidateAnswer(
         filter=name,
         baseline=baseline,
-        verdict=verdict_of(rows) if 2 * len(evidence) > dives else Verdict.NOT_EVALUATED,
+        verdict=verdict,
         dives=dives,
         evaluated=len(evidence),
         rows=rows,
-        reason="too few dives are evaluated",
+        reason=reason,
         predicted_pct=pct,
         prediction=prediction,
         predicted=predicted,
@@ -340,5 +347,5 @@ def pooled_sentence(answer: Answer[PooledRow]) -> str:
     start = f"{answer.filter} {AGAINST[answer.verdict]} {answer.baseline}"
     dives = f"{answer.evaluated} of {counted(answer.dives, 'dive')}"
     if answer.verdict == Verdict.NOT_EVALUATED:
-        return f"{start}: it is evaluated in only {dives}. Settle the others first."
+        return f"{start}, evaluated in only {dives}: {answer.reason}. Settle this first."
     return f"{start} over {dives}: {answer.measured}"

@@ -96,9 +96,15 @@ def _read_report(file: Path, kind: type[_Kind]) -> _Kind | None:
         raise ResultError(f"{file}: is not JSON: {error}", hint) from error
     tables = report.tables if isinstance(report, StoredReport) else {}
     for layout in TABLES:
+        names = set[tuple[object, ...]]()
         for number, row in enumerate(tables.get(layout.name, []), 1):
+            place = f"{file}: table {layout.name}, row {number}"
             for column in ("filter", layout.key):
                 if column not in row:
-                    place = f"{file}: table {layout.name}, row {number}"
                     raise ResultError(f"{place}: has no column {column}", "replay the log again")
+            name = row["filter"], row[layout.key], row.get("unit")
+            if name in names:
+                same = f"has the same names as an earlier row: {name[0]}, {name[1]}"
+                raise ResultError(f"{place}: {same}", "replay the log again")
+            names.add(name)
     return report

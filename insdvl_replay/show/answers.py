@@ -168,8 +168,7 @@ def reason_undecided(answer: AnyAnswer) -> str:
 
 def would_decide(answer: AnyAnswer) -> str:
     """Say why an answer is undecided, and how many dives would decide; empty if it is decided."""
-    reason = reason_undecided(answer)
-    return "; ".join(filter(None, (reason and f"undecided: {reason}", would_settle(answer.verdict, answer.known))))
+    return "; ".join(filter(None, (reason_undecided(answer), would_settle(answer.verdict, answer.known))))
 
 
 def prediction_word(predicted_pct: Number, prediction: str) -> str:
@@ -226,7 +225,8 @@ def pooled_answers(reports: Sequence[Report]) -> list[CandidateAnswer[PooledRow]
         if len(having) > 1:
             rows = [of_filter(name, report.tables.evidence) for report in evaluated]
             predicted_pct = [report.filters[name].mean_improvement_pct for report in evaluated]
-            found.append(pooled_candidate(name, baseline_names(having), rows, len(having), predicted_pct))
+            reasons = [reason_not_evaluated(report.filters[name].sentence) for report in having]
+            found.append(pooled_candidate(name, baseline_names(having), rows, len(having), predicted_pct, reasons))
     return found
 
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from small_results import content, write
 
-from insdvl_replay.changes.answer import Answer, answer_lines, answers_of
+from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.comparison import compare_results
+from insdvl_replay.changes.comparison_document import answer_lines
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.result import StoredReport, StoredResult
@@ -82,7 +83,7 @@ def test_an_error_from_zero_is_no_small_change(tmp_path: Path) -> None:
 def test_two_dives_decide_nothing_and_the_answer_says_how_many_do(tmp_path: Path) -> None:
     found = answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in (1.5, 1.6)])
     assert {answer.verdict for answer in found} == {"undecided"}
-    assert "3 dives" in answer_lines(found)[0].text
+    assert answer_lines(found)[0].text.endswith("; fewer than 3 dives; replay more dives")
 
 
 def test_worse_in_one_thing_and_better_in_another_is_mixed(tmp_path: Path) -> None:
@@ -96,6 +97,22 @@ def test_worse_in_one_thing_and_better_in_another_is_mixed(tmp_path: Path) -> No
 def test_a_filter_that_is_no_longer_evaluated_is_counted(tmp_path: Path) -> None:
     found = answers(tmp_path, [{}] * 4, filter_verdict="not evaluated")
     assert [(answer.lost, answer.is_harm) for answer in found] == [(4, True)] * 2
+    assert "no longer evaluated in 4 of 4 dives: " in answer_lines(found)[0].text
+
+
+def test_the_most_common_reason_says_why_a_filter_is_not_evaluated(tmp_path: Path) -> None:
+    sentence = "aided is NOT EVALUATED against baseline: aided rejected {} of 300 pings. Settle this first. More."
+    for number, rejected in enumerate((200, 200, 100)):
+        made = result(f"d{number}", {}, filter_verdict="not evaluated")
+        made["filters"]["aided"]["sentence"] = sentence.format(rejected)
+        for side, window in (("old", 3), ("new", 5)):
+            made["config"]["filters"]["aided"]["window"] = window
+            made["tables"]["evidence"][0]["value"] = float(window)
+            write(tmp_path / side / f"d{number}", made)
+    found = compare_results(tmp_path / "old", tmp_path / "new").answers
+    assert {answer.verdict for answer in found} == {"not evaluated"}
+    assert answer_lines(found)[1].text.endswith("evaluated in only 0 of 3 dives: aided rejected 200 of 300 pings")
+    assert "aided rejected 200 of 300 pings. Settle this first." in found[1].sentence
 
 
 def trajectory(seed: int, position_m: float, velocity_mps: float) -> Trajectory:
@@ -170,7 +187,7 @@ def test_fail_on_worse_fails_on_the_answer(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_page_has_a_forest_plot_of_each_filter(tmp_path: Path) -> None:
-    from insdvl_replay.changes.comparison import brief_document, comparison_result
+    from insdvl_replay.changes.comparison_document import brief_document, comparison_result
 
     answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in FACTORS])
     found = compare_results(tmp_path / "old", tmp_path / "new")

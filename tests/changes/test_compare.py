@@ -18,16 +18,11 @@ from small_results import content, nudged, write
 from taken_apart import Document
 
 from insdvl_replay.changes.cells import Change
-from insdvl_replay.changes.comparison import (
-    Comparison,
-    Selection,
-    aggregates,
+from insdvl_replay.changes.comparison import Comparison, aggregates, compare_results, find_violation, only_changed
+from insdvl_replay.changes.comparison_document import (
     brief_document,
-    compare_results,
     comparison_document,
     comparison_result,
-    find_violation,
-    only_changed,
     opening_lines,
 )
 from insdvl_replay.cli import run_command_line
@@ -42,7 +37,7 @@ from insdvl_replay.show.text import as_markdown, for_terminal
 
 def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:
     """Compare two reports by way of the disk."""
-    return compare_results(write(folder / "old", old), write(folder / "new", new), Selection(**selection))
+    return compare_results(write(folder / "old", old), write(folder / "new", new), **selection)
 
 
 def words(comparison: Comparison, **where: str) -> dict[tuple[str, str, str], str]:
@@ -192,7 +187,7 @@ def test_a_table_that_is_lost_counts_as_worse(tmp_path: Path) -> None:
 def test_a_row_that_is_there_twice_is_refused(tmp_path: Path) -> None:
     new = content()
     new["tables"]["improvement"] *= 2
-    with pytest.raises(ResultError, match=r"new: table improvement, row 3: .*aided, ba_x"):
+    with pytest.raises(ResultError, match=r"new/report.json: table improvement, row 3: .*aided, ba_x"):
         compared(tmp_path, content(), new)
 
 
@@ -217,6 +212,7 @@ def test_a_filter_on_one_side_is_noted_and_its_rows_are_new(tmp_path: Path) -> N
         new["tables"][table] += rows
     comparison = compared(tmp_path, content(), new)
     assert [(note.code, note.count) for note in comparison.notes] == [("filter_on_one_side", 1)]
+    assert "--pair" not in comparison.notes[0].hint, "there is no filter to pair it with"
     assert {(change.filter, change.verdict) for change in comparison.changes} == {("aided", "same"), ("tuned", "new")}
 
 
@@ -248,8 +244,8 @@ def test_another_log_is_reported_before_all_settings(tmp_path: Path) -> None:
     new = content(sha256="other")
     new["config"] |= {f"key{number}": number for number in range(20)}
     told = as_markdown(brief_document(compared(tmp_path, content(), new)))
-    assert re.search(r"\(SHA-256\).*\s+key3 none -> 3", told)
-    assert re.search(r"^9 .*--all$", told, re.MULTILINE)
+    assert re.search(r"\(SHA-256\).*\s+key1 none -> 1", told)
+    assert re.search(r"^11 .*--all$", told, re.MULTILINE)
     assert "(SHA-256)" not in as_markdown(brief_document(compared(tmp_path / "same", content(), content(window=5))))
     assert "(SHA-256)" not in as_markdown(brief_document(compared(tmp_path / "memory", content(sha256=""), new)))
 
@@ -537,8 +533,8 @@ def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_pa
     write(tmp_path / "new" / "four", content("four", prediction="undecided"))
     comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
     first, second = opening_lines(comparison)[:2]
-    assert re.fullmatch(r"aided .*worse.* better \(one, two\)", first)
-    assert re.fullmatch(r".*aided .*undecided.* confirmed \(3 of 4\)", second)
+    assert re.fullmatch(r"aided .*worse.* better \(2 of 4 dives: one, two\)", first)
+    assert re.fullmatch(r".*aided .*undecided.* confirmed \(3 of 4 dives: .*\)", second)
 
 
 def test_a_verdict_that_an_early_report_lacks_has_not_changed(tmp_path: Path) -> None:
@@ -571,7 +567,7 @@ def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_change
 def test_in_brief_the_same_is_left_out_and_the_rest_counted(tmp_path: Path) -> None:
     text = in_brief(tmp_path)
     assert "gone: four" in text
-    assert "reference_error 3" in text.replace("\n", " ")
+    assert "1 better, 2 worse; " in text
     assert len(text.strip().split("\n")) <= 40
 
 

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 from small_results import content, nudged
 
-from insdvl_replay.changes.gate_file import Gate, load_gates, require_known_names
+from insdvl_replay.changes.gate_file import CellGate, load_gates, require_known_filters
 from insdvl_replay.changes.gates import gate_findings
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import StoredReport
@@ -22,15 +22,15 @@ def stored(**changes: Any) -> StoredReport:
     return msgspec.convert(content(**changes), StoredReport)
 
 
-def gate(**keys: Any) -> Gate:
-    return msgspec.convert({"name": "a", "table": "improvement", "column": "sd"} | keys, Gate)
+def gate(**keys: Any) -> CellGate:
+    return msgspec.convert({"name": "a", "table": "improvement", "column": "sd"} | keys, CellGate)
 
 
-def passes(gate_: Gate, report: StoredReport, expected: StoredReport | None = None) -> bool:
+def passes(gate_: CellGate, report: StoredReport, expected: StoredReport | None = None) -> bool:
     return all(finding.passed for finding in gate_findings(gate_, report, expected))
 
 
-def why(gate_: Gate, report: StoredReport, expected: StoredReport | None = None) -> str:
+def why(gate_: CellGate, report: StoredReport, expected: StoredReport | None = None) -> str:
     return "; ".join(finding.sentence for finding in gate_findings(gate_, report, expected) if not finding.passed)
 
 
@@ -44,8 +44,9 @@ def why(gate_: Gate, report: StoredReport, expected: StoredReport | None = None)
         (GATE + "maxx = 1", ": gate 1: ", "'maxx'", "max"),
         (GATE + 'max = "1"', ": gate 1: max: ", "'1'", "min = 40"),
         (GATE + 'max = 1\nlevel = "loud"', ": gate 1: level ", "'loud'", "error, warn, off"),
-        (GATE, ": gate 1: ", "'a'", "min, max, equals or expected"),
-        (GATE + "max = 1\nmin = 2", ": gate 1: ", "2", "min and max"),
+        (GATE, ":1: gate 'a': ", "condition", "min, max, equals or expected"),
+        (GATE + "max = 1\nmin = 2", ":1: gate 'a': ", "2", "min and max"),
+        (GATE + "max = nan", ": gate 1: max: ", "nan", "min = 40"),
         (GATE + "max = 1\n" + GATE + "min = 1", ": ", "'a'", ""),
         ("dives = []\n\n[[gates]]\nmax = 1", ": ", "'gates'", "gate"),
     ],
@@ -70,7 +71,6 @@ def test_a_slip_in_the_file_is_reported_with_place_and_key(
         ({"table": "consistency", "column": "mean_nis", "row": "velocityx"}, "velocity_x"),
         ({"table": "credibility", "column": "mean_nees", "row": "al"}, "all"),
         ({"filter": "aidde"}, "aided"),
-        ({"table": "*", "column": "men_nis"}, "mean_nis"),
     ],
 )
 def test_a_name_that_no_result_has_is_reported_with_the_nearest(
@@ -81,7 +81,7 @@ def test_a_name_that_no_result_has_is_reported_with_the_nearest(
     path = tmp_path / "gates.toml"
     path.write_text(GATE + "max = 1\n" + text)
     with pytest.raises(ConfigError) as raised:
-        require_known_names(load_gates(path), ["baseline", "aided"])
+        require_known_filters(load_gates(path), ["baseline", "aided"])
     assert raised.value.message.startswith(f"{path}:6: gate 'b': ")
     assert f"'{list(keys.values())[-1]}'" in raised.value.message
     assert meant in re.findall(r"\w+", raised.value.hint)
@@ -95,17 +95,17 @@ def test_a_value_of_the_wrong_kind_is_refused(table: str, column: str, wanted: s
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = {wanted}\n')
     with pytest.raises(ConfigError, match=f"equals: .*'{column}' .*{table} .*{kind}"):
-        require_known_names(load_gates(path), None)
+        load_gates(path)
 
 
 def test_rows_of_stored_results_are_known_but_for_their_filters(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     of_filters = '[[gate]]\nname = "a"\ntable = "filters"\nrow = "mine"\ncolumn = "mean_improvement_pct"\nmin = 1\n'
     path.write_text(of_filters)
-    require_known_names(load_gates(path), None)
+    load_gates(path)
     path.write_text(of_filters.replace("filters", "reference_error").replace("mean_i", "i"))
     with pytest.raises(ConfigError, match="quantity 'mine'"):
-        require_known_names(load_gates(path), None)
+        load_gates(path)
 
 
 def test_many_gates_are_read_in_a_time_that_grows_with_their_number(tmp_path: Path) -> None:
@@ -125,32 +125,24 @@ def test_lines_are_found_behind_comments_that_end_in_a_comma(tmp_path: Path) -> 
     assert load_gates(path).lines["a"] == 4
 
 
-@pytest.mark.parametrize(("table", "column"), [("evidence", "why"), ("filters", "sentence"), ("*", "why")])
+@pytest.mark.parametrize(("table", "column"), [("evidence", "why"), ("filters", "sentence"), ("consistency", "why")])
 def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
     table: str, column: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(f'[[gate]]\nname = "a"\ntable = "{table}"\ncolumn = "{column}"\nequals = ""\n')
     with pytest.raises(ConfigError, match=f"column '{column}'") as raised:
-        require_known_names(load_gates(path), None)
+        load_gates(path)
     hinted = re.findall(r"\w+", raised.value.hint)
     assert {"verdict", "sd"} & {*hinted}
     assert not {"why", "sentence"} & {*hinted}
-
-
-def test_the_old_key_is_refused_with_the_new_one(tmp_path: Path) -> None:
-    path = tmp_path / "gates.toml"
-    path.write_text(f'{GATE}max = 1\n{GATE}baseline = "b/{{log}}.json"\nmax_worse_pct = 1\n')
-    with pytest.raises(ConfigError, match="gate 2: ") as raised:
-        load_gates(path)
-    assert raised.value.hint == 'expected = "b/{log}.json"'
 
 
 def test_an_expected_value_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(GATE.replace("sd", "unit") + 'expected = "b.json"\nmax_worse_pct = 1')
     with pytest.raises(ConfigError, match="column 'unit'"):
-        require_known_names(load_gates(path), None)
+        load_gates(path)
 
 
 # --- The cells.
@@ -163,7 +155,6 @@ def test_an_expected_value_needs_a_column_that_can_be_worse(tmp_path: Path) -> N
         ({"max": 0.99}, False),
         ({"min": 1.0}, True),
         ({"min": 1.01}, False),
-        ({"min": math.nan}, False),
         ({"equals": 1}, True),
         ({"equals": 2.0}, False),
         ({"column": "status", "equals": "improved"}, True),
@@ -176,8 +167,6 @@ def test_an_expected_value_needs_a_column_that_can_be_worse(tmp_path: Path) -> N
         ({"table": "consistency", "max": 1.0}, False),
         ({"table": "filters", "column": "consistency", "equals": "consistent"}, True),
         ({"table": "filters", "row": "aided", "column": "mean_improvement_pct", "min": 51}, False),
-        ({"table": "*", "column": "improvement_pct", "min": 20}, True),
-        ({"table": "*", "column": "improvement_pct", "min": 21}, False),
     ],
 )
 def test_limits_hold_for_every_cell_that_is_meant(keys: dict[str, Any], passed: bool) -> None:
@@ -225,11 +214,9 @@ def test_what_is_empty_or_not_finite_never_passes(value: float | None, keys: dic
     assert told.endswith("(improved)")
 
 
-def test_a_missing_row_is_reported_with_the_nearest_name() -> None:
+def test_a_missing_row_is_reported_with_its_names() -> None:
     sentence = why(gate(table="reference_error", row="rol", column="rmse", max=1), stored())
-    assert "table reference_error" in sentence
-    assert sentence.endswith("roll?")
-    assert why(gate(filter="aidde", max=1), stored()).endswith("aided?")
+    assert "table reference_error, filter *, row rol, column rmse" in sentence
 
 
 @pytest.mark.parametrize(
@@ -320,7 +307,7 @@ def test_a_row_without_expected_values_does_not_pass() -> None:
     assert "aided accelerometer bias x sd " in why(gate(expected="b", max_worse_pct=1e9), stored(), baseline)
 
 
-@pytest.mark.parametrize("keys", [{}, {"filter": "aided"}, {"row": "ba_x"}, {"table": "*"}])
+@pytest.mark.parametrize("keys", [{}, {"filter": "aided"}, {"row": "ba_x"}])
 def test_an_expected_row_that_is_missing_does_not_pass(keys: dict[str, Any]) -> None:
     report = stored()
     del report.tables["improvement"][0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from processors import PROCESSORS
 
-from insdvl_replay.changes.gate_file import Gate, load_gates
+from insdvl_replay.changes.gate_file import TrajectoryGate, load_gates
 from insdvl_replay.changes.gates import trajectory_findings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError
@@ -24,7 +24,7 @@ name = "nothing changes"
 table = "trajectory"
 expected = "expected/{log}.npz"
 """
-EXPECTED = Gate(name="nothing changes", table="trajectory", expected="{log}.npz")
+EXPECTED = TrajectoryGate(name="nothing changes", table="trajectory", expected="{log}.npz")
 
 
 def made(samples: int = 400) -> Trajectory:
@@ -44,7 +44,7 @@ def changed(filter_: int, column: str, samples: slice, by: float) -> Trajectory:
     return replace(trajectory, values=values)
 
 
-def sentences(gate: Gate, new: Trajectory, old: Trajectory | None = None) -> list[str]:
+def sentences(gate: TrajectoryGate, new: Trajectory, old: Trajectory | None = None) -> list[str]:
     return [finding.sentence for finding in trajectory_findings(gate, new, old or made()) if not finding.passed]
 
 
@@ -71,10 +71,10 @@ def test_rounding_is_no_change_and_a_little_more_is() -> None:
 
 def test_a_column_may_have_an_allowance_of_its_own() -> None:
     new = changed(1, "position_e_m", slice(10, 20), 1e-3)
-    gate = Gate(name="g", table="trajectory", expected="b", max_abs={"position_e_m": 2e-3})
+    gate = TrajectoryGate(name="g", table="trajectory", expected="b", max_abs={"position_e_m": 2e-3})
     assert sentences(gate, new) == []
-    assert sentences(Gate(name="g", table="trajectory", expected="b", max_rel=1e-5), new) == []
-    assert sentences(Gate(name="g", table="trajectory", expected="b", row="velocity"), new) == []
+    assert sentences(TrajectoryGate(name="g", table="trajectory", expected="b", max_rel=1e-5), new) == []
+    assert sentences(TrajectoryGate(name="g", table="trajectory", expected="b", row="velocity"), new) == []
 
 
 def test_headings_on_both_sides_of_the_seam_are_near() -> None:
@@ -103,8 +103,8 @@ def test_filters_and_times_that_are_not_the_same_never_pass() -> None:
     assert [finding.passed for finding in gone] == [False]
 
 
-def over_time(**keys: float) -> Gate:
-    return Gate(name="g", table="trajectory", filter="aided", row="position_error_m", within=(0.0, 3.5), **keys)  # type: ignore[arg-type]
+def over_time(**keys: float) -> TrajectoryGate:
+    return TrajectoryGate(name="g", table="trajectory", filter="aided", row="position_error_m", within=(0.0, 3.5), **keys)  # type: ignore[arg-type]
 
 
 def test_share_of_the_time_and_longest_stay_outside() -> None:
@@ -149,7 +149,7 @@ def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Pa
     ("keys", "named"),
     [
         ('row = "heading"\nexpected = "b.npz"', "row 'heading'"),
-        ('column = "rmse"\nexpected = "b.npz"', "columns"),
+        ('column = "rmse"\nexpected = "b.npz"', "key 'column'"),
         ("", "share_pct"),
         ('row = "attitude"\nwithin = [0, 1]', "row 'attitude'"),
         ('row = "position_error_m"\nwithin = [1, 0]', "within = [1.0, 0.0]"),

@@ -75,10 +75,14 @@ def test_exit_codes_are_those_of_compare(
     [
         (["--against", "dvl.scale=1.0"], "--against dvl.scale=1.0: is the setting already"),
         (["--against", "dvl.scle=1.1"], "--against dvl.scle=1.1: key 'dvl.scle' is not known"),
-        (["--against", "dvl.scale"], "--against dvl.scale: is not of the form"),
+        (["--against", "dvl.scale"], "hint: for example --against dvl.scale=1.01"),
+        (
+            ["--set", "dvl.beam_sd_mps=0.01", "--against", "dvl.velocity_sd_mps=0.006"],
+            "has no effect, since dvl.beam_sd_mps = 0.01 decides",
+        ),
         (["--against", "dvl.scale=1.2"], "with other settings: dvl.scale 1.1 -> 1.2"),
         (["--against", "dvl.scale=1.1", "--table", "evidence"], "--against: does not work with --table"),
-        (["--against", "dvl.scale=1.1", "--fail-on", "five"], "--fail-on five: is not a percentage"),
+        (["--against", "dvl.scale=1.1", "--fail-on", "five"], "or --fail-on worse"),
         (["--fail-on", "worse"], "--fail-on: works with --against only"),
     ],
 )

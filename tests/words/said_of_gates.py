@@ -10,7 +10,7 @@ import numpy as np
 from as_text import Cases, refusal, spoken
 from small_results import content, write
 
-from insdvl_replay.changes.gate_file import Gate, load_gates, require_known_names
+from insdvl_replay.changes.gate_file import CellGate, TrajectoryGate, load_gates, require_known_filters
 from insdvl_replay.changes.gates import Finding, gate_findings, trajectory_findings
 from insdvl_replay.core.result import StoredReport
 from insdvl_replay.core.states import COLUMNS
@@ -27,7 +27,6 @@ FILES = (
     GATE,
     f"{GATE}max_worse_pct = 1\nmax = 1",
     f'{GATE}expected = "b.json"',
-    f'{GATE}baseline = "baselines/{{log}}.json"\nmax_worse_pct = 1',
     f"{GATE}max = 1\n{GATE}min = 1",
     f'{GATE}max = 1\nlevel = "off"',
     "dives = []\n\n[[gates]]\nmax = 1",
@@ -54,11 +53,10 @@ NAMES: tuple[dict[str, Any], ...] = (
     {"table": "reference_error", "column": "rmse", "row": "positon_h"},
     {"table": "consistency", "column": "mean_nis", "row": "velocityx"},
     {"table": "filters", "column": "mean_improvement_pct", "row": "aidd"},
-    {"table": "*", "row": "role"},
     {"filter": "baseline"},
     {"column": "status"},
     {"table": "evidence", "column": "why", "equals": ""},
-    {"table": "*", "column": "sentence", "equals": "x"},
+    {"table": "filters", "column": "sentence", "equals": "x"},
     {"column": "sdd"},
     {"filter": "aidde"},
     {"equals": "improved"},
@@ -73,12 +71,16 @@ def stored(**changes: Any) -> StoredReport:
     return msgspec.convert(content(**changes), StoredReport)
 
 
-def gate(**keys: Any) -> Gate:
-    return msgspec.convert({"name": "a", "table": "improvement", "column": "sd"} | keys, Gate)
+def gate(**keys: Any) -> CellGate:
+    return msgspec.convert({"name": "a", "table": "improvement", "column": "sd"} | keys, CellGate)
 
 
 def reasons(findings: Iterable[Finding]) -> str:
     return "\n".join(finding.sentence for finding in findings if not finding.passed)
+
+
+def with_known_filters(file: Path) -> None:
+    require_known_filters(load_gates(file), ["baseline", "aided"])
 
 
 def said_of_gates(folder: Path) -> Cases:
@@ -93,7 +95,7 @@ def said_of_gates(folder: Path) -> Cases:
             del lines["max"]
         text = "".join(f"{key} = {msgspec.json.encode(value).decode()}\n" for key, value in lines.items())
         file.write_text(f"[[gate]]\n{text}", "utf-8")
-        yield f"a gate of {keys}", refusal(require_known_names, load_gates(file), ["baseline", "aided"])
+        yield f"a gate of {keys}", refusal(with_known_filters, file)
     yield from of_cells()
     yield from of_trajectories()
     yield from by_the_command(folder)
@@ -146,7 +148,7 @@ def changed(column: str, samples: slice, by: float) -> Trajectory:
 
 
 def of_trajectories() -> Cases:
-    same = Gate(name="a", table="trajectory", expected="{log}.npz")
+    same = TrajectoryGate(name="a", table="trajectory", expected="{log}.npz")
     one = replace(made(), names=("baseline",), values=made().values[:1])
     outside = changed("position_error_m", slice(100, 120), 50.0)
     for name, new, old in (
@@ -159,7 +161,7 @@ def of_trajectories() -> Cases:
     ):
         yield name, reasons(trajectory_findings(same, new, old))
     for keys in ({}, {"share_pct": 99.0}, {"longest_outside_s": 19.0}, {"at_s": 100.0}, {"at_s": 1000.0}):
-        row = Gate(name="a", table="trajectory", filter="aided", row="position_error_m", within=(0.0, 3.5), **keys)
+        row = TrajectoryGate(name="a", table="trajectory", filter="aided", row="position_error_m", within=(0.0, 3.5), **keys)
         yield f"over time {keys}", reasons(trajectory_findings(row, outside, made()))
 
 

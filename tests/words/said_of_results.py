@@ -9,7 +9,8 @@ from msgspec.structs import replace
 from small_results import content, write
 
 from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.changes.comparison import brief_document, compare_results, opening_lines
+from insdvl_replay.changes.comparison import compare_results
+from insdvl_replay.changes.comparison_document import brief_document, opening_lines
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence

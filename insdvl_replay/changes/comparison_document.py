@@ -1,0 +1,315 @@
+"""A comparison on a screen, as a page and in files: the answers first, then what else changed."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace as with_fields
+from typing import Final
+
+from msgspec.structs import astuple
+
+from insdvl_replay.changes.answer import Answer
+from insdvl_replay.changes.cells import Change, change_text
+from insdvl_replay.changes.comparison import Aggregate, Comparison, Difference, described
+from insdvl_replay.core.errors import counted, listed, natural_key
+from insdvl_replay.core.quantities import label
+from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Result, Sentences, Title
+from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
+from insdvl_replay.core.words import ChangeVerdict, Verdict
+from insdvl_replay.evaluation.answers import DECIDED, may_decide
+from insdvl_replay.show.answers import (
+    TONES,
+    evidence_text,
+    interval_text,
+    ratio_text,
+    shouted,
+    verdict_with_reason,
+    would_decide,
+)
+from insdvl_replay.show.document import MISSING, ShownColumn, table_of
+from insdvl_replay.show.first_screen import (
+    ForestRow,
+    by_dive_forest,
+    change_of_value,
+    evidence_forest,
+    first_screen,
+    section,
+)
+
+SAME_INPUTS: Final = "tool, settings and log are the same"
+MOST_OTHERS: Final = 12  # most changed values outside the evidence on the brief screen
+NONE: Final = "none"  # instead of a missing value
+_MOST_DIFFERENCES: Final = 8
+_MOST_DRAWN: Final = 8  # rows of the forest plot
+_NAMED_DIVES: Final = 2
+# The sentence for a changed word, by column of the candidates.
+_CHANGED_WORDS: Final = {
+    "verdict": "{} against the baseline is now {}, was {}",
+    "prediction": "the predicted improvement of {} is now {}, was {}",
+}
+# Rows of the evidence that are better nearer to 1; their ratio is of the distance from 1.
+_OFF_ONE: Final = ("nis", "nees")
+
+
+def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
+    """Return a comparison as tables and JSON, with its screen."""
+    dives = [
+        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeVerdict))
+        for dive in comparison.dives
+    ]
+    return Result(
+        kind="comparison",
+        title=_title(comparison),
+        tables={
+            "answer": Block.of(PooledRow, (row for answer in comparison.answers for row in answer.rows)),
+            "difference": Block.of(Difference, comparison.differences),
+            "dive": Block(("log", "old", "new", "matched_by", *ChangeVerdict), dives),
+            "aggregate": Block.of(Aggregate, comparison.aggregates),
+            "change": Block.of(Change, comparison.changes),
+        },
+        block="part",
+        notes=comparison.notes,
+        document=document,
+        data=comparison,
+    )
+
+
+def brief_document(comparison: Comparison, *, everything: bool = False, command: str = "") -> list[Part]:
+    """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence.
+
+    The command is the one that shows all values, if it is not the one that was typed.
+    """
+    unmoved = (ChangeVerdict.SAME, ChangeVerdict.NEW, ChangeVerdict.GONE)
+    moved = [change for change in comparison.changes if change.verdict not in unmoved]
+    if several := len(comparison.matched) > 1:
+        tables = [*_answer_table(comparison.answers, everything=everything)]
+    else:
+        tables = [*_evidence_of_dive(moved, comparison.baseline)]
+    if not (tables or several) and 0 < len(moved) <= MOST_OTHERS:
+        tables = [_values(moved)]
+    more = f"All values: {command}--all. One table: {command and '... '}--table NAME"
+    closing = Sentences((f"{_counted_values(comparison)}. {more}",))
+    return _document(comparison, _changed_verdicts(comparison), tables, _MOST_DIFFERENCES, [closing])
+
+
+def comparison_document(comparison: Comparison) -> list[Part]:
+    """Return the full screen of a comparison: the answers, counts, all differences and values."""
+    several = len(comparison.matched) > 1
+    table = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
+    rest = "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
+    last = [Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []
+    return _document(comparison, opening_lines(comparison), [table], len(comparison.differences), last)
+
+
+def _document(
+    comparison: Comparison, lines: Sequence[str], tables: Iterable[DisplayTable], most: int, last: Sequence[Part]
+) -> list[Part]:
+    apart = [
+        f"{ChangeVerdict.GONE if dive.new is None else ChangeVerdict.NEW}: {dive.log}"
+        for dive in comparison.dives
+        if dive.tally is None
+    ]
+    return [
+        Title(_title(comparison)),
+        *_answer_screen(comparison.answers),
+        *(Sentences(tuple(block)) for block in (lines, _brief_differences(comparison, most)) if block),
+        *(with_fields(table, title_apart=True) for table in tables),
+        *([Sentences(tuple(apart))] if apart else []),
+        *last,
+    ]
+
+
+def opening_lines(comparison: Comparison) -> list[str]:
+    """Return the changed verdicts, the number of changed values, and the largest changes."""
+    extremes = (("worst", comparison.total.worst), ("best", comparison.total.best))
+    return [
+        *_changed_verdicts(comparison),
+        _counted_values(comparison),
+        *(f"{name}: {described(change)}" for name, change in extremes if change is not None),
+        *([] if comparison.differences else [SAME_INPUTS]),
+    ]
+
+
+def _counted_values(comparison: Comparison) -> str:
+    """Count the values by verdict."""
+    counts = comparison.total.counts
+    words = ", ".join(f"{counts[word]} {word}" for word in ChangeVerdict if counts[word] and word != ChangeVerdict.SAME)
+    limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
+    same = f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
+    return f"{words or 'no value changed'}; {same}"
+
+
+# --- The answers.
+
+
+def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
+    """Return a line for each filter: its verdict and the evidence that made it, or could have."""
+    name_width, verdict_width = (
+        max(map(len, texts))
+        for texts in zip(*((answer.filter, shouted(answer.verdict)) for answer in answers), strict=True)
+    )
+    return [
+        Callout(
+            f"{answer.filter.ljust(name_width)}  {shouted(answer.verdict).ljust(verdict_width)}  {_said(answer)}",
+            TONES.get(answer.verdict, ""),
+        )
+        for answer in answers
+    ]
+
+
+def _said(answer: Answer) -> str:
+    """Write the evidence of an answer: the row that made it, both for a mixed one; or what would decide."""
+    dives = counted(answer.dives, "dive")
+    if answer.verdict == Verdict.NOT_EVALUATED:
+        return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
+    found = [answer.sameness] if answer.is_same else [evidence_text(answer), would_decide(answer)]
+    lost = f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}" if answer.lost else ""
+    return "; ".join(filter(None, (*found, lost)))
+
+
+def _answer_table(answers: Sequence[Answer], *, everything: bool) -> Iterator[DisplayTable]:
+    """Return the evidence behind the answers: all rows, or those that are better or worse and have a vote."""
+    columns: tuple[ShownColumn, ...] = (
+        ("filter", "l", "filter"),
+        ("evidence", "l", "quantity:label"),
+        ("", "l", "unit"),
+        ("old", "r", "baseline:value"),
+        ("new", "r", "value:value"),
+        ("ratio", "r", lambda row: ratio_text(row.ratio)),
+        ("over dives", "r", interval_text),
+        ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+        ("", "l", verdict_with_reason),
+    )
+    rows = [row for answer in answers for row in answer.known]
+    kept = [row for row in rows if everything or (row.verdict in DECIDED and may_decide(row))]
+    left = len(rows) - len(kept)
+    footnote = "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
+    footnote += f" {left} more rows without a change that decides: -v" if left else ""
+    if kept:
+        yield table_of("Evidence, new against old", kept, columns, footnote, spare=(2, 7, 3, 4))
+
+
+def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
+    """Return the answers: a line for each filter, on pages a section with forest plots."""
+    sections = []
+    for answer in answers:
+        is_short = answer.is_same or answer.lost or answer.verdict == Verdict.NOT_EVALUATED
+        sentence = f"{_said(answer)}." if is_short else answer.measured
+        plots = [evidence_forest("This dive" if answer.dives == 1 else "All dives", answer, _MOST_DRAWN)]
+        if answer.dives > 1:
+            rows = [
+                ForestRow(
+                    dive.log, dive.ratio, tone=Verdict.UNDECIDED, text=change_of_value(dive.old, dive.new, dive.unit)
+                )
+                for dive in answer.by_dive
+                if finite(dive.ratio) > 0.0
+            ]
+            plots.append(by_dive_forest(answer.by_dive[0].quantity if answer.by_dive else "", rows))
+        sections.append(section(answer, [sentence], plots))
+    several = any(answer.dives > 1 for answer in answers)
+    page = first_screen(sections, f"Here new is over old.{' All dives: each is one sample.' if several else ''}")
+    return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
+
+
+# --- Settings, verdicts and other differences.
+
+
+def _title(comparison: Comparison) -> str:
+    """Name the setting that differs, count further ones, then name the dives and both sides."""
+    matched, settings = comparison.matched, _changed_settings(comparison)
+    what = matched[0].log if len(matched) == 1 else f"{len(matched)} dives"
+    more = f" and {counted(len(settings) - 1, 'more setting')}" if len(settings) > 1 else ""
+    changed = f"{settings[0]}{more}" if settings else "same settings"
+    return f"{changed}: {what}, new: {comparison.new}, old: {comparison.old}"
+
+
+def _changed_settings(comparison: Comparison) -> list[str]:
+    """Return the settings that differ, each once, with the number of its dives if it does not differ in all."""
+    return [_difference_text(item, item.key, comparison) for item in comparison.differences if item.block == "config"]
+
+
+def _difference_text(item: Difference, name: str, comparison: Comparison) -> str:
+    """Write a difference, with the number of its dives if it is not in all."""
+    matched = len(comparison.matched)
+    some = f" (in {len(item.logs)} of {matched})" if len(item.logs) < matched else ""
+    return change_text(name, *(NONE if side is None else side for side in (item.old, item.new))) + some
+
+
+def _brief_differences(comparison: Comparison, most: int) -> list[str]:
+    """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
+    found = comparison.differences
+    other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]
+    names = sorted({name for item in other for name in item.logs}, key=natural_key)
+    whose = "the log differs" if len(names) == 1 else f"the logs of {listed(names)} differ"
+    lines = [f"{whose} (SHA-256). Changed values may come from the log"] if names else []
+    texts = _changed_settings(comparison)[1:]
+    for item in found:
+        if item not in other and item.block != "config":
+            texts.append(_difference_text(item, f"{item.block} {item.key}", comparison))
+    left = len(texts) - most
+    return [*lines, *texts[:most], *([f"{left} more differ: --all"] if left > 0 else [])]
+
+
+def _changed_verdicts(comparison: Comparison) -> list[str]:
+    """Return the changed verdicts, then the changed predictions, each once with its dives."""
+    dives: dict[tuple[str, str, str, str], list[str]] = {}
+    for change in comparison.changes:
+        is_word = change.table == CANDIDATES.name and change.column in _CHANGED_WORDS
+        if is_word and change.old and change.new and change.old != change.new:
+            key = change.column, change.filter, str(change.new), str(change.old)
+            dives.setdefault(key, []).append(change.log)
+    matched, lines = len(comparison.matched), []
+    for (column, *names), logs in sorted(dives.items(), key=lambda found: list(_CHANGED_WORDS).index(found[0][0])):
+        where = f" ({len(logs)} of {matched} dives: {listed(logs, _NAMED_DIVES)})" if len(logs) < matched else ""
+        lines.append(_CHANGED_WORDS[column].format(*names) + where)
+    return lines
+
+
+# --- Tables.
+
+_OLD_AND_NEW: Final[tuple[ShownColumn, ...]] = (
+    ("old", "r", "old:cell"),
+    ("new", "r", "new:cell"),
+    ("change", "r", lambda cell: MISSING if cell.change is None else cell.growth),
+    ("", "l", "verdict"),
+)
+
+
+def _evidence_of_dive(changes: Iterable[Change], baseline: str) -> Iterator[DisplayTable]:
+    """Return the table of the changed evidence of one dive; for NIS and NEES the distance from 1."""
+
+    def owner(cell: Change) -> str:
+        return baseline if cell.column == "baseline" else cell.filter
+
+    def name(cell: Change) -> str:
+        return f"{cell.row.upper()} distance from 1" if cell.row in _OFF_ONE else label(cell.row)
+
+    # The rows of every candidate repeat the baseline's values; show them once.
+    rows: dict[tuple[str, str], Change] = {}
+    for cell in changes:
+        if cell.table == "evidence" and cell.column in ((RATIO,) if cell.row in _OFF_ONE else ("value", "baseline")):
+            rows.setdefault((owner(cell), cell.row), cell)
+    if rows:
+        named: tuple[ShownColumn, ...] = (("filter", "l", owner), ("evidence", "l", name), ("", "l", "unit"))
+        columns = (*named, *_OLD_AND_NEW[:-1])
+        yield table_of("Changed evidence", rows.values(), columns, spare=(2, 3, 4))
+
+
+def _cell_name(cell: Change | Aggregate) -> str:
+    row = "" if cell.row == cell.filter else f" {label(cell.row)}"
+    unit = f" [{cell.unit}]" if cell.unit else ""
+    return f"{cell.table} {cell.filter}{row}: {cell.column}{unit}"
+
+
+def _values(changes: Sequence[Change]) -> DisplayTable:
+    footnote = "% is of the magnitude; for NIS, of the ratio to its degrees of freedom"
+    return table_of("Values, old and new", changes, (("value", "l", _cell_name), *_OLD_AND_NEW), footnote)
+
+
+def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
+    columns: tuple[ShownColumn, ...] = (
+        ("value", "l", _cell_name),
+        *((key, "r", key) for key in ("dives", "better", "worse")),
+        ("median\n[%]", "r", "median_change_pct:signed_percent"),
+        ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
+        ("in", "l", lambda cell: MISSING if cell.worst_word == ChangeVerdict.SAME else cell.worst_log),
+    )
+    return table_of("Values over the dives", cells, columns)
