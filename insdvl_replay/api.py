@@ -352,27 +352,20 @@ def check(
         Folder for the results of logs, which are replayed if something has changed.
     """
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_jobs, replay_jobs
+    from insdvl_replay.batch.jobs import ReplayOptions, checked_dives, known_reports, replay_jobs
     from insdvl_replay.changes.formats import check_result
     from insdvl_replay.changes.gate_file import load_gates
-    from insdvl_replay.changes.gates import Checked, checked_results, evaluate_gates
-    from insdvl_replay.results.folder import is_result
+    from insdvl_replay.changes.gates import evaluate_gates
 
     found = load_gates(Path(gates))
     named, base = ([*map(str, _paths(dives))], Path()) if dives else (found.content.dives, found.path.parent)
     files = [base / found.content.config] if found.content.config and config is None else []
     settings = config or _load_config(found.content.preset, files)
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
-    checked = list[Checked]()
-    for path in find_dives(named, base, results=True):
-        if not (path.suffix == ".json" or is_result(path)):
-            jobs = plan_jobs([path], Path(results), options)
-            [outcome] = replay_jobs(jobs, known_reports(jobs, force=True), None)
-            path = outcome.job.target
-            if isinstance(outcome.result, Exception):
-                checked.append(Checked(path.name, outcome.result, path))
-                continue
-        checked += checked_results(path)
+    paths = find_dives(named, base, results=True)
+    checked = checked_dives(
+        found, paths, Path(results), options, lambda jobs: replay_jobs(jobs, known_reports(jobs, force=True), None)
+    )
     return CommandResult(check_result(evaluate_gates(found, checked)))
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 
@@ -40,6 +40,9 @@ from insdvl_replay.results.folder import (
     result_folder,
     trajectory_file,
 )
+
+if TYPE_CHECKING:
+    from insdvl_replay.changes.gate_file import Checked, Gates
 
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
@@ -243,6 +246,34 @@ def replay_jobs(
             yield done.pop(job.target)
         for _ in replays:  # nothing more comes, and workers end by themselves
             pass
+
+
+def checked_dives(
+    gates: "Gates",
+    paths: Sequence[Path],  # logs and results
+    output: Path,  # of the replays
+    options: ReplayOptions,
+    replay: Callable[[Sequence[ReplayJob]], Generator[Outcome, None, None]],
+) -> "list[Checked]":
+    """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
+    from insdvl_replay.changes.gate_file import Checked, require_known_filters
+    from insdvl_replay.changes.gates import checked_results
+
+    logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
+    if len(logs) == len(paths):  # stored results may have other filters
+        require_known_filters(gates, list(options.config.filters))
+    checked = list[Checked]()
+    with closing(replay(plan_jobs(logs, output, options))) as replays:
+        for path in paths:
+            folder = path
+            if path in logs:
+                outcome = next(replays)
+                folder = outcome.job.target
+                if isinstance(outcome.result, Exception):
+                    checked.append(Checked(folder.name, outcome.result, folder))
+                    continue
+            checked += checked_results(folder)
+    return checked
 
 
 def _for_elsewhere(job: ReplayJob) -> ReplayJob:

@@ -1,14 +1,14 @@
 """Evaluate each gate on each dive.
 
 A missing, empty or non-numeric value never passes. Some gates compare a value, or the whole trajectory, with what is
-stored in `expected`.
+expected.
 """
 
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 import msgspec
 from msgspec import Struct
@@ -23,8 +23,21 @@ from insdvl_replay.changes.cells import (
     judge_cell,
     prints_the_same,
 )
-from insdvl_replay.changes.expected import expected_of, expected_path, known_causes, stored_values, with_expected
-from insdvl_replay.changes.gate_file import ANY, POOLED, TRAJECTORY, CellGate, Gate, Gates, TrajectoryGate
+from insdvl_replay.changes.gate_file import (
+    ANY,
+    POOLED,
+    TRAJECTORY,
+    CellGate,
+    Checked,
+    Gate,
+    Gates,
+    TrajectoryGate,
+    expected_of,
+    expected_path,
+    known_causes,
+    stored_values,
+    with_expected,
+)
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError
 from insdvl_replay.core.result import Cell, Row, StoredLog, StoredReport
@@ -105,14 +118,6 @@ class CheckResult(Struct, frozen=True):
     def count(self, status: GateStatus) -> int:
         """Count the outcomes of a status."""
         return sum(outcome.status == status for outcome in self.outcomes)
-
-
-class Checked(NamedTuple):
-    """A dive to check."""
-
-    name: str
-    result: StoredReport | Exception
-    folder: Path  # of the result
 
 
 # --- Dives.

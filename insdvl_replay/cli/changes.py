@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Generator, Sequence
-from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -213,15 +213,14 @@ def check(
       insdvl-replay check gates.toml --only "position*" --shard 1/4
     """
     from insdvl_replay.batch.dive_paths import find_dives
-    from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs
+    from insdvl_replay.batch.jobs import ReplayOptions, checked_dives
     from insdvl_replay.changes import formats
     from insdvl_replay.changes import gates as gating
-    from insdvl_replay.changes.expected import write_expected
-    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, require_known_filters
+    from insdvl_replay.changes.gate_file import chosen_gates, load_gates, write_expected
     from insdvl_replay.cli.run import outcomes
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
-    from insdvl_replay.results.folder import COMPLETE, require_replaceable_file, result_file
+    from insdvl_replay.results.folder import require_replaceable_file, result_file
 
     # Arguments
     part, slash, parts = shard.partition("/")
@@ -251,21 +250,8 @@ def check(
         allow_damaged=allow_damaged or content.allow_damaged,
         histories=histories,
     )
-    logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
-    if len(logs) == len(paths):  # stored results may have other filters
-        require_known_filters(chosen, list(options.config.filters))
-
-    # Replays, stored results and gates
-    checked: list[gating.Checked] = []
-    with closing(outcomes(plan_jobs(logs, results, options), jobs, scheduler, force=True, rerun=rerun)) as replays:
-        for path in paths:
-            if path in logs:
-                outcome = next(replays)
-                path = outcome.job.target
-                if isinstance(outcome.result, Exception):
-                    checked.append(gating.Checked(path.name, outcome.result, path))
-                    continue
-            checked += gating.checked_results(path)
+    replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
+    checked = checked_dives(chosen, paths, results, options, replayed)
     codes = [log_failure(result, verbose) for _, result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.expected is None for gate in chosen.gates):
