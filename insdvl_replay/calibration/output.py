@@ -24,7 +24,7 @@ from insdvl_replay.calibration.innovations import (
     Geometry,
 )
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow
+from insdvl_replay.calibration.rows import DiveRow, HeldOutRow, NoiseRow, ParameterRow, ReferenceDiveRow, StartRow
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats
@@ -48,7 +48,7 @@ from insdvl_replay.core.result import (
 )
 from insdvl_replay.core.words import Estimated
 from insdvl_replay.preparation.run import FIT
-from insdvl_replay.show.document import number, table_of
+from insdvl_replay.show.document import number, shown, table_of
 from insdvl_replay.show.figures import Clock
 
 DIGITS: Final = 6  # decimals of proposed values, finer than any sd
@@ -157,48 +157,11 @@ def _tables(found: Calibration) -> Iterator[DisplayTable]:
     )
     if found.reference is not None:
         yield _parameter_table("The reference: change from the configuration", found.reference.rows)
-        yield table_of(
-            "Difference from the reference, before and after: velocity (or displacement in 10 s), and track fit",
-            found.reference.dives,
-            (
-                ("dive", "l", "dive"),
-                ("rows", "r", "rows"),
-                ("rms before", "r", lambda row: f"{number(row.rms_before)} {row.unit}"),
-                ("after", "r", lambda row: f"{number(row.rms_after)} {row.unit}"),
-                ("scale before\n[%]", "r", "track_scale_before_pct"),
-                ("after\n[%]", "r", "track_scale_after_pct"),
-                ("turn before\n[deg]", "r", "track_turn_before_deg"),
-                ("after\n[deg]", "r", "track_turn_after_deg"),
-            ),
-            "Scale and turn align the filter's track with the reference's. The turn includes the drift of the heading.",
-        )
+        yield shown(ReferenceDiveRow, found.reference.dives)
         if found.reference.starts:
-            yield table_of(
-                "Headings at the start, from the tracks of positions with the proposed DVL settings",
-                found.reference.starts,
-                (
-                    ("dive", "l", "dive"),
-                    ("heading\n[deg]", "r", "heading_deg"),
-                    ("sd", "r", "heading_sd_deg"),
-                    ("gyro bias\n[deg/h]", "r", "gyro_bias_degph"),
-                    ("sd", "r", "gyro_bias_sd_degph"),
-                ),
-                'initial.heading_deg = "fit" estimates them for each dive.',
-            )
+            yield shown(StartRow, found.reference.starts)
     if found.held_out:
-        yield table_of(
-            "Dives that were not fitted: NIS / dof, and drift in 60 s without velocities",
-            found.held_out,
-            (
-                ("dive", "l", "dive"),
-                ("NIS before", "r", "nis_per_dof_before"),
-                ("after", "r", "nis_per_dof_after"),
-                ("with\nnoise", "r", "nis_per_dof_noise"),
-                ("windows", "r", "windows"),
-                ("drift before\n[m]", "r", "drift_before_m"),
-                ("after\n[m]", "r", "drift_after_m"),
-            ),
-        )
+        yield shown(HeldOutRow, found.held_out)
 
 
 def _parameter_table(title: str, rows: Sequence[ParameterRow]) -> DisplayTable:

@@ -1,11 +1,11 @@
 """The tables of a calibration."""
 
 import math
-from typing import Annotated, Final
+from typing import Annotated, ClassVar, Final
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.tables import Number
+from insdvl_replay.core.tables import Col, Number
 from insdvl_replay.core.words import Estimated
 
 
@@ -79,41 +79,65 @@ class DiveRow(Struct, frozen=True):
 class HeldOutRow(Struct, frozen=True):
     """One held-out dive: its NIS and its drift without DVL, before and after."""
 
-    dive: str
-    nis_per_dof_before: Number
-    nis_per_dof_after: Number
-    windows: Annotated[int, Meta(description="number of DVL outage tests of 60 s")]
-    drift_before_m: Annotated[Number, Meta(description="median over the windows")]
-    drift_after_m: Number
-    nis_per_dof_noise: Annotated[Number, Meta(description="after, also with the proposed noise; null if none")] = None
+    title: ClassVar = "Dives that were not fitted: NIS / dof, and drift in 60 s without velocities"
+
+    dive: Annotated[str, Col(head="dive")]
+    nis_per_dof_before: Annotated[Number, Col(head="NIS before")]
+    nis_per_dof_after: Annotated[Number, Col(head="after")]
+    windows: Annotated[int, Meta(description="number of DVL outage tests of 60 s"), Col(head="windows")]
+    drift_before_m: Annotated[Number, Meta(description="median over the windows"), Col(head="drift before\n[m]")]
+    drift_after_m: Annotated[Number, Col(head="after\n[m]")]
+    nis_per_dof_noise: Annotated[
+        Number, Meta(description="after, also with the proposed noise; null if none"), Col(head="NIS with\nnoise")
+    ] = None
 
 
 class ReferenceDiveRow(Struct, frozen=True):
     """One dive compared with its reference, before and after: remaining differences and track fit."""
 
-    dive: str
-    rows: Annotated[int, Meta(description="number of reference rows that were compared")]
-    unit: Annotated[str, Meta(description="m/s for velocities; m for displacements, if the reference has no velocity")]
-    rms_before: Annotated[
-        float, Meta(description="rms difference of velocities in body axes, or of displacements in 10 s")
+    title: ClassVar = (
+        "Difference from the reference, before and after: velocity (or displacement in 10 s), and track fit"
+    )
+    footnote: ClassVar = (
+        "Scale and turn align the filter's track with the reference's. The turn includes the drift of the heading."
+    )
+
+    dive: Annotated[str, Col(head="dive")]
+    rows: Annotated[int, Meta(description="number of reference rows that were compared"), Col(head="rows")]
+    unit: Annotated[
+        str,
+        Meta(description="m/s for velocities; m for displacements, if the reference has no velocity"),
+        Col(head="unit"),
     ]
-    rms_after: float
-    track_scale_before_pct: Annotated[Number, Meta(description="positive if the filter's track is too short")]
-    track_scale_after_pct: Number
+    rms_before: Annotated[
+        float,
+        Meta(description="rms difference of velocities in body axes, or of displacements in 10 s"),
+        Col(head="rms before"),
+    ]
+    rms_after: Annotated[float, Col(head="after")]
+    track_scale_before_pct: Annotated[
+        Number, Meta(description="positive if the filter's track is too short"), Col(head="scale before\n[%]")
+    ]
+    track_scale_after_pct: Annotated[Number, Col(head="after\n[%]")]
     track_scale_sd_pct: Number
-    track_turn_before_deg: Annotated[Number, Meta(description="clockwise; includes the filter's heading error")]
-    track_turn_after_deg: Number
+    track_turn_before_deg: Annotated[
+        Number, Meta(description="clockwise; includes the filter's heading error"), Col(head="turn before\n[deg]")
+    ]
+    track_turn_after_deg: Annotated[Number, Col(head="after\n[deg]")]
     track_turn_sd_deg: Number
 
 
 class StartRow(Struct, frozen=True):
     """One dive whose reference has only positions: heading at the start and gyro bias about down."""
 
-    dive: str
-    heading_deg: float
-    heading_sd_deg: float
-    gyro_bias_degph: float
-    gyro_bias_sd_degph: float
+    title: ClassVar = "Headings at the start, from the tracks of positions with the proposed DVL settings"
+    footnote: ClassVar = 'initial.heading_deg = "fit" estimates them for each dive.'
+
+    dive: Annotated[str, Col(head="dive")]
+    heading_deg: Annotated[float, Col(head="heading\n[deg]")]
+    heading_sd_deg: Annotated[float, Col(head="sd")]
+    gyro_bias_degph: Annotated[float, Col(head="gyro bias\n[deg/h]")]
+    gyro_bias_sd_degph: Annotated[float, Col(head="sd")]
 
 
 TABLES: Final[dict[str, type[Struct]]] = {

@@ -104,7 +104,8 @@ def test_filters_and_times_that_are_not_the_same_never_pass() -> None:
 
 
 def over_time(**keys: float) -> TrajectoryGate:
-    return TrajectoryGate(name="g", table="trajectory", filter="aided", row="position_error_m", within=(0.0, 3.5), **keys)  # type: ignore[arg-type]
+    names = {"name": "g", "table": "trajectory", "filter": "aided", "row": "position_error_m"}
+    return TrajectoryGate(within=(0.0, 3.5), **names, **keys)  # type: ignore[arg-type]
 
 
 def test_share_of_the_time_and_longest_stay_outside() -> None:

@@ -161,7 +161,8 @@ def of_trajectories() -> Cases:
     ):
         yield name, reasons(trajectory_findings(same, new, old))
     for keys in ({}, {"share_pct": 99.0}, {"longest_outside_s": 19.0}, {"at_s": 100.0}, {"at_s": 1000.0}):
-        row = TrajectoryGate(name="a", table="trajectory", filter="aided", row="position_error_m", within=(0.0, 3.5), **keys)
+        names = {"name": "a", "table": "trajectory", "filter": "aided", "row": "position_error_m"}
+        row = TrajectoryGate(within=(0.0, 3.5), **names, **keys)  # type: ignore[arg-type]
         yield f"over time {keys}", reasons(trajectory_findings(row, outside, made()))
 
 
