@@ -301,13 +301,13 @@ def compare(
         Changes up to this count as the same. Default: the last printed digit.
     """
     from insdvl_replay.changes.comparison import compare_results
-    from insdvl_replay.changes.comparison_document import brief_document, comparison_result
+    from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 
     found = compare_results(
         Path(old), Path(new), tables=tables, columns=columns, dives=dives, filter_pairs=pairs or {},
         tolerance_pct=tolerance_pct,
     )  # fmt: skip
-    return CommandResult(comparison_result(found, brief_document(found)))
+    return CommandResult(comparison_result(found, comparison_document(found)))
 
 
 def compare_settings(

@@ -34,7 +34,6 @@ from insdvl_replay.show.first_screen import (
     section,
 )
 
-SAME_INPUTS: Final = "tool, settings and log are the same"
 MOST_OTHERS: Final = 12  # most changed values outside the evidence on the brief screen
 NONE: Final = "none"  # instead of a missing value
 _MOST_DIFFERENCES: Final = 8
@@ -72,69 +71,54 @@ def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Resul
     )
 
 
-def brief_document(comparison: Comparison, *, everything: bool = False, command: str = "") -> list[Part]:
-    """Return the brief screen: the answers, changed verdicts, differences outside the tables, and the evidence.
-
-    The command is the one that shows all values, if it is not the one that was typed.
-    """
+def comparison_document(
+    comparison: Comparison,
+    *,
+    values: bool = False,  # the changed values instead of the evidence
+    every_row: bool = False,  # all rows of the evidence
+    command: str = "",  # the one that shows all values, if it is not the one that was typed
+) -> list[Part]:
+    """Return the screen: answers, changed verdicts, differences outside the tables, evidence or values, and counts."""
+    several, most = len(comparison.matched) > 1, len(comparison.differences) if values else _MOST_DIFFERENCES
     unmoved = (ChangeVerdict.SAME, ChangeVerdict.NEW, ChangeVerdict.GONE)
     moved = [change for change in comparison.changes if change.verdict not in unmoved]
-    if several := len(comparison.matched) > 1:
-        tables = [*_answer_table(comparison.answers, everything=everything)]
+    if values:
+        tables = [_values_over_dives(comparison.aggregates) if several else _values(comparison.changes)]
+    elif several:
+        tables = [*_answer_table(comparison.answers, every_row=every_row)]
     else:
         tables = [*_evidence_of_dive(moved, comparison.baseline)]
-    if not (tables or several) and 0 < len(moved) <= MOST_OTHERS:
-        tables = [_values(moved)]
-    more = f"All values: {command}--all. One table: {command and '... '}--table NAME"
-    closing = Sentences((f"{_counted_values(comparison)}. {more}",))
-    return _document(comparison, _changed_verdicts(comparison), tables, _MOST_DIFFERENCES, [closing])
-
-
-def comparison_document(comparison: Comparison) -> list[Part]:
-    """Return the full screen of a comparison: the answers, counts, all differences and values."""
-    several = len(comparison.matched) > 1
-    table = _values_over_dives(comparison.aggregates) if several else _values(comparison.changes)
-    rest = "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
-    last = [Only(("terminal", "markdown", "html"), (Sentences((rest,)),))] if several else []
-    return _document(comparison, opening_lines(comparison), [table], len(comparison.differences), last)
-
-
-def _document(
-    comparison: Comparison, lines: Sequence[str], tables: Iterable[DisplayTable], most: int, last: Sequence[Part]
-) -> list[Part]:
+        tables = [_values(moved)] if not tables and 0 < len(moved) <= MOST_OTHERS else tables
     apart = [
         f"{ChangeVerdict.GONE if dive.new is None else ChangeVerdict.NEW}: {dive.log}"
         for dive in comparison.dives
         if dive.tally is None
     ]
+    blocks = _changed_verdicts(comparison), _other_differences(comparison, most)
     return [
         Title(_title(comparison)),
         *_answer_screen(comparison.answers),
-        *(Sentences(tuple(block)) for block in (lines, _brief_differences(comparison, most)) if block),
+        *(Sentences(tuple(block)) for block in blocks if block),
         *(with_fields(table, title_apart=True) for table in tables),
         *([Sentences(tuple(apart))] if apart else []),
-        *last,
+        Sentences(tuple(_closing_lines(comparison, values=values, command=command))),
     ]
 
 
-def opening_lines(comparison: Comparison) -> list[str]:
-    """Return the changed verdicts, the number of changed values, and the largest changes."""
-    extremes = (("worst", comparison.total.worst), ("best", comparison.total.best))
-    return [
-        *_changed_verdicts(comparison),
-        _counted_values(comparison),
-        *(f"{name}: {described(change)}" for name, change in extremes if change is not None),
-        *([] if comparison.differences else [SAME_INPUTS]),
-    ]
-
-
-def _counted_values(comparison: Comparison) -> str:
-    """Count the values by verdict."""
-    counts = comparison.total.counts
+def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Iterator[str]:
+    """Count the values by verdict, and say where the others are."""
+    counts, total = comparison.total.counts, comparison.total
     words = ", ".join(f"{counts[word]} {word}" for word in ChangeVerdict if counts[word] and word != ChangeVerdict.SAME)
     limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
     same = f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
-    return f"{words or 'no value changed'}; {same}"
+    yield f"{words or 'no value changed'}; {same}"
+    for name, change in (("worst", total.worst), ("best", total.best)):
+        if values and change is not None:
+            yield f"{name}: {described(change)}"
+    if not values:
+        yield f"All values: {command}--all. One table: {command and '... '}--table NAME"
+    elif len(comparison.matched) > 1:
+        yield "values of one dive: --dive NAME. Values of all dives: --format csv or --format json"
 
 
 # --- The answers.
@@ -165,7 +149,7 @@ def _said(answer: Answer) -> str:
     return "; ".join(filter(None, (*found, lost)))
 
 
-def _answer_table(answers: Sequence[Answer], *, everything: bool) -> Iterator[DisplayTable]:
+def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[DisplayTable]:
     """Return the evidence behind the answers: all rows, or those that are better or worse and have a vote."""
     columns: tuple[ShownColumn, ...] = (
         ("filter", "l", "filter"),
@@ -179,7 +163,7 @@ def _answer_table(answers: Sequence[Answer], *, everything: bool) -> Iterator[Di
         ("", "l", verdict_with_reason),
     )
     rows = [row for answer in answers for row in answer.known]
-    kept = [row for row in rows if everything or (row.verdict in DECIDED and may_decide(row))]
+    kept = [row for row in rows if every_row or (row.verdict in DECIDED and may_decide(row))]
     left = len(rows) - len(kept)
     footnote = "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
     footnote += f" {left} more rows without a change that decides: -v" if left else ""
@@ -233,7 +217,7 @@ def _difference_text(item: Difference, name: str, comparison: Comparison) -> str
     return change_text(name, *(NONE if side is None else side for side in (item.old, item.new))) + some
 
 
-def _brief_differences(comparison: Comparison, most: int) -> list[str]:
+def _other_differences(comparison: Comparison, most: int) -> list[str]:
     """Return the differences outside the tables, one line each: logs, settings that the title lacks, and the rest."""
     found = comparison.differences
     other = [item for item in found if (item.block, item.key) == ("log", "sha256") and item.old and item.new]

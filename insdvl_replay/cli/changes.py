@@ -104,10 +104,9 @@ def _print_comparison(
     if quiet and format_ == "table":
         write_stdout("".join(f"{visible(line.text)}\n" for line in documents.answer_lines(found.answers)))
     else:
-        if all_values or format_ == "latex":
-            document = documents.comparison_document(shown)
-        else:
-            document = documents.brief_document(shown, everything=verbose > 0, command=command)
+        document = documents.comparison_document(
+            shown, values=all_values or format_ == "latex", every_row=verbose > 0, command=command
+        )
         write_stdout(written(documents.comparison_result(found, document), format_))
     log_notes(found.notes, verbose=verbose > 0)
 

@@ -187,11 +187,11 @@ def test_fail_on_worse_fails_on_the_answer(tmp_path: Path, capsys: pytest.Captur
 
 
 def test_a_page_has_a_forest_plot_of_each_filter(tmp_path: Path) -> None:
-    from insdvl_replay.changes.comparison_document import brief_document, comparison_result
+    from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 
     answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in FACTORS])
     found = compare_results(tmp_path / "old", tmp_path / "new")
-    page = render(comparison_result(found, brief_document(found)), "html")
+    page = render(comparison_result(found, comparison_document(found)), "html")
     assert page.count('<section class="candidate worse">') == 2
     assert page.count('<section class="forest">') == 4, "the evidence, and the dives one by one, of each filter"
     assert "larger in 8 of 8" not in page, "the line of the screen is not repeated"

@@ -19,12 +19,7 @@ from taken_apart import Document
 
 from insdvl_replay.changes.cells import Change
 from insdvl_replay.changes.comparison import Comparison, aggregates, compare_results, find_violation, only_changed
-from insdvl_replay.changes.comparison_document import (
-    brief_document,
-    comparison_document,
-    comparison_result,
-    opening_lines,
-)
+from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
 from insdvl_replay.core.quantities import DECIDING_TOGETHER
@@ -38,6 +33,11 @@ from insdvl_replay.show.text import as_markdown, for_terminal
 def compared(folder: Path, old: dict[str, Any], new: dict[str, Any], **selection: Any) -> Comparison:
     """Compare two reports by way of the disk."""
     return compare_results(write(folder / "old", old), write(folder / "new", new), **selection)
+
+
+def told(comparison: Comparison, **options: Any) -> str:
+    """What the screen says."""
+    return as_markdown(comparison_document(comparison, **options))
 
 
 def words(comparison: Comparison, **where: str) -> dict[tuple[str, str, str], str]:
@@ -243,11 +243,11 @@ def test_causes_are_named_key_by_key_with_both_values(tmp_path: Path) -> None:
 def test_another_log_is_reported_before_all_settings(tmp_path: Path) -> None:
     new = content(sha256="other")
     new["config"] |= {f"key{number}": number for number in range(20)}
-    told = as_markdown(brief_document(compared(tmp_path, content(), new)))
-    assert re.search(r"\(SHA-256\).*\s+key1 none -> 1", told)
-    assert re.search(r"^11 .*--all$", told, re.MULTILINE)
-    assert "(SHA-256)" not in as_markdown(brief_document(compared(tmp_path / "same", content(), content(window=5))))
-    assert "(SHA-256)" not in as_markdown(brief_document(compared(tmp_path / "memory", content(sha256=""), new)))
+    shown = told(compared(tmp_path, content(), new))
+    assert re.search(r"\(SHA-256\).*\s+key1 none -> 1", shown)
+    assert re.search(r"^11 .*--all$", shown, re.MULTILINE)
+    assert "(SHA-256)" not in told(compared(tmp_path / "same", content(), content(window=5)))
+    assert "(SHA-256)" not in told(compared(tmp_path / "memory", content(sha256=""), new))
 
 
 def test_what_differs_in_many_dives_is_named_once(tmp_path: Path) -> None:
@@ -305,14 +305,13 @@ def test_only_changed_leaves_the_counts_alone(tmp_path: Path) -> None:
     assert less.dives == whole.dives
 
 
-def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -> None:
+def test_a_page_has_the_answers_first_and_every_cell(tmp_path: Path) -> None:
     comparison = only_changed(compare_results(*two_sets(tmp_path)))
-    document = Document(page(comparison_document(comparison)).decode())
-    lines = opening_lines(comparison)
-    place = document.texts["p"].index(lines[0])
-    assert document.texts["p"][place : place + len(lines)] == lines
-    assert [text for text in document.texts["p"][:place] if text.isupper()] == ["EQUIVALENT"] * 2
-    tables = [part for part in comparison_document(comparison) if isinstance(part, DisplayTable)]
+    parts = comparison_document(comparison, values=True)
+    document = Document(page(parts).decode())
+    assert [text for text in document.texts["p"] if text.isupper()] == ["EQUIVALENT"] * 2
+    assert "1 better, 2 worse; 93 of 96 values are the same up to the last printed digit" in document.texts["p"]
+    tables = [part for part in parts if isinstance(part, DisplayTable)]
     assert document.texts["h3"][-len(tables) :] == [table.title for table in tables]
     assert {cell for table in tables for row in table.rows for cell in row} <= set(document.texts["td"])
 
@@ -320,7 +319,7 @@ def test_a_page_says_first_how_much_moved_and_holds_every_cell(tmp_path: Path) -
 def test_dives_in_which_nothing_moved_are_not_named(tmp_path: Path) -> None:
     old, new = two_sets(tmp_path)
     write(new / "four", content("four"))
-    text = as_markdown(comparison_document(only_changed(compare_results(old, new))))
+    text = told(only_changed(compare_results(old, new)), values=True)
     assert text.startswith("## filters.aided.window 3 -> 5 (in 3 of 4): 4 dives, ")
     assert "four" not in text
 
@@ -465,7 +464,7 @@ def test_terminal_tables_fit_80_columns_and_are_whole_when_piped(dives: int, tmp
     comparison = compare_results(old / "two", new / "two") if dives == 1 else compare_results(old, new)
     for width in (80, 1000):
         console = Console(width=width, record=True, file=io.StringIO())
-        console.print(for_terminal(comparison_document(comparison)))
+        console.print(for_terminal(comparison_document(comparison, values=True)))
         text = console.export_text()
         assert max(len(line.rstrip()) for line in text.split("\n")) <= width
         assert "…" not in text
@@ -512,17 +511,17 @@ def test_what_is_new_is_no_gain(tmp_path: Path) -> None:
 # --- Verdicts that changed.
 
 
-def test_changed_verdicts_are_said_first(tmp_path: Path) -> None:
+def test_changed_verdicts_are_said_after_the_answers(tmp_path: Path) -> None:
     old, new = (
         content(filter_verdict="undecided", prediction="undecided"),
         content(filter_verdict="better", prediction="confirmed"),
     )
-    first, second, *rest = opening_lines(compared(tmp_path, old, new))
-    assert re.fullmatch(r"aided .*better.* undecided", first)
-    assert re.fullmatch(r".*aided .*confirmed.* undecided", second)
-    assert not any(line.startswith("aided ") for line in rest)
-    unchanged = compared(tmp_path / "same", content(), content(rmse=0.5))
-    assert not any("is now" in line for line in opening_lines(unchanged))
+    lines = told(compared(tmp_path, old, new)).split("\n\n")
+    assert lines[3:5] == [
+        "aided against the baseline is now better, was undecided",
+        "the predicted improvement of aided is now confirmed, was undecided",
+    ]
+    assert "is now" not in told(compared(tmp_path / "same", content(), content(rmse=0.5)))
 
 
 def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_path: Path) -> None:
@@ -531,16 +530,17 @@ def test_changed_verdicts_of_several_dives_are_said_once_with_their_dives(tmp_pa
         write(tmp_path / "new" / name, content(name, filter_verdict=word, prediction="undecided"))
     write(tmp_path / "old" / "four", content("four", prediction="undecided"))
     write(tmp_path / "new" / "four", content("four", prediction="undecided"))
-    comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
-    first, second = opening_lines(comparison)[:2]
-    assert re.fullmatch(r"aided .*worse.* better \(2 of 4 dives: one, two\)", first)
-    assert re.fullmatch(r".*aided .*undecided.* confirmed \(3 of 4 dives: .*\)", second)
+    lines = [line for line in told(compare_results(tmp_path / "old", tmp_path / "new")).split("\n\n") if "now" in line]
+    assert lines == [
+        "aided against the baseline is now worse, was better (2 of 4 dives: one, two)",
+        "the predicted improvement of aided is now undecided, was confirmed (3 of 4 dives: one, three and 1 more)",
+    ]
 
 
 def test_a_verdict_that_an_early_report_lacks_has_not_changed(tmp_path: Path) -> None:
     early = content()
     del early["filters"]["aided"]["prediction"]
-    assert not any("is now" in line for line in opening_lines(compared(tmp_path, early, content())))
+    assert "is now" not in told(compared(tmp_path, early, content()))
 
 
 # --- In brief.
@@ -550,7 +550,7 @@ def in_brief(folder: Path) -> str:
     old, new = two_sets(folder)
     comparison = only_changed(compare_results(old, new))
     console = Console(width=80, file=io.StringIO(), record=True)
-    console.print(for_terminal(brief_document(comparison)))
+    console.print(for_terminal(comparison_document(comparison)))
     return console.export_text()
 
 
@@ -558,7 +558,7 @@ def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_change
     old, new = content(), content(window=5)
     old["filters"]["aided"]["verdict"], new["filters"]["aided"]["verdict"] = "undecided", "worse"
     comparison = only_changed(compared(tmp_path, old, new))
-    lines = as_markdown(brief_document(comparison)).split("\n\n")
+    lines = told(comparison).split("\n\n")
     assert lines[0].startswith("## filters.aided.window 3 -> 5: dive, ")
     assert [line.split()[0] for line in lines[1:3]] == ["baseline", "aided"]
     assert re.fullmatch(r"aided .*worse.* undecided", lines[3])
@@ -583,7 +583,7 @@ def test_in_brief_evidence_that_moved_has_old_and_new(tmp_path: Path) -> None:
     old, new = content(), content()
     old["tables"]["evidence"], new["tables"]["evidence"] = [evidence_row(0.8)], [evidence_row(0.6)]
     comparison = only_changed(compared(tmp_path, old, new))
-    assert "| aided | drift in 30 s | m | 0.8000 | 0.6000 | -25.0 % |" in as_markdown(brief_document(comparison))
+    assert "| aided | drift in 30 s | m | 0.8000 | 0.6000 | -25.0 % |" in told(comparison)
 
 
 def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
@@ -597,7 +597,7 @@ def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
             write(tmp_path / side / f"dive_{number}", made)
     comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
     console = Console(width=80, file=io.StringIO(), record=True)
-    console.print(for_terminal(brief_document(comparison)))
+    console.print(for_terminal(comparison_document(comparison)))
     lines = console.export_text().strip().split("\n")
     deciding = [name for name in names if name in DECIDING_TOGETHER]
     assert len(deciding) > 15
@@ -611,7 +611,7 @@ def test_in_brief_the_distance_of_a_nis_from_1_is_shown(tmp_path: Path) -> None:
     row = evidence_row(0.002) | {"evidence": "consistency", "quantity": "nis", "unit": "", "ratio": 1.0}
     old["tables"]["evidence"], new["tables"]["evidence"] = [row], [row | {"value": 0.001, "ratio": 1.1}]
     comparison = only_changed(compared(tmp_path, old, new))
-    [line] = [line for line in as_markdown(brief_document(comparison)).split("\n") if "NIS distance from 1" in line]
+    [line] = [line for line in told(comparison).split("\n") if "NIS distance from 1" in line]
     assert line.endswith("| +10.0 % |")
 
 

@@ -10,7 +10,7 @@ from small_results import content, write
 
 from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.changes.comparison import compare_results
-from insdvl_replay.changes.comparison_document import brief_document, opening_lines
+from insdvl_replay.changes.comparison_document import comparison_document
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.words import Reason
 from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
@@ -104,9 +104,8 @@ def of_verdicts(folder: Path) -> Cases:
         write(folder / "after" / name, new)
     write(folder / "before" / "four", content("four"))
     changed, same = (compare_results(folder / "before", folder / name) for name in ("after", "before"))
-    yield "verdicts that changed", "\n".join(opening_lines(changed))
-    yield "in brief", as_markdown(brief_document(changed))
-    yield "nothing changed", as_markdown(brief_document(same))
+    yield "in brief", as_markdown(comparison_document(changed))
+    yield "nothing changed", as_markdown(comparison_document(same))
 
 
 def of_reports() -> Cases:
