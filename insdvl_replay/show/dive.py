@@ -91,39 +91,38 @@ def track_fit_line(report: Report) -> Iterator[str]:
         yield f"track fit: {', '.join(texts)}"
 
 
-# What is shown of a filter without candidates, with units.
-UNITS_ALONE: Final = {
-    "position rms": "m",
-    "depth rms": "m",
-    "velocity rms": "m/s",
-    "drift in 60 s": "m",
-    "60 s without DVL": "m",
-    "NIS / dof": "",
+# By column of the summary its name and unit, where a filter has no candidates.
+VALUES: Final = {
+    "position_h_rmse_m": ("position rms", "m"),
+    "depth_rmse_m": ("depth rms", "m"),
+    "velocity_rmse_mps": ("velocity rms", "m/s"),
+    "drift_60s_rms_m": ("drift in 60 s", "m"),
+    "outage_60s_drift_m": ("60 s without DVL", "m"),
+    "nis_per_dof": ("NIS / dof", ""),
 }
 
 
-def values_alone(report: Report) -> dict[str, str]:
-    """Return the values of the only filter that are known, by name."""
+def values_of(report: Report, name: str) -> dict[str, float]:
+    """Return the values of a filter by column of the summary, NaN where unknown."""
     tables = report.tables
-    errors = {row.quantity: finite(row.rmse) for row in tables.reference_error}
-    drifts = [row.rms for row in tables.drift if row.quantity == "drift_60s"]
-    outages = [row.drift_median_m for row in tables.outage if row.window_s == "60"]
-    sizes = [finite(row.mean_nis) / row.dof for row in tables.consistency if is_used(row.measurement)]
-    found = {
-        "position rms": errors.get("position_h"),
-        "depth rms": errors.get("depth"),
-        "velocity rms": math.hypot(*(errors.get(f"velocity_{axis}", math.nan) for axis in "ned")),
-        "drift in 60 s": next(iter(drifts), None),
-        "60 s without DVL": next(iter(outages), None),
-        "NIS / dof": next(iter(sizes), None),
+    errors = {row.quantity: finite(row.rmse) for row in of_filter(name, tables.reference_error)}
+    drifts = [row.rms for row in of_filter(name, tables.drift) if row.quantity == "drift_60s"]
+    outages = [row.drift_median_m for row in of_filter(name, tables.outage) if row.window_s == "60"]
+    sizes = [finite(row.mean_nis) / row.dof for row in of_filter(name, tables.consistency) if is_used(row.measurement)]
+    return {
+        "position_h_rmse_m": errors.get("position_h", math.nan),
+        "depth_rmse_m": errors.get("depth", math.nan),
+        "velocity_rmse_mps": math.hypot(*(errors.get(f"velocity_{axis}", math.nan) for axis in "ned")),
+        "drift_60s_rms_m": finite(next(iter(drifts), None)),
+        "outage_60s_drift_m": finite(next(iter(outages), None)),
+        "nis_per_dof": next(iter(sizes), math.nan),
     }
-    texts = {name: significant(value, 3) for name, value in found.items()}
-    return {name: text for name, text in texts.items() if text != MISSING}
 
 
 def line_alone(report: Report) -> str:
     """Return the values of the only filter in a line, such as ``position rms 0.22 m``."""
-    texts = [f"{name} {value} {UNITS_ALONE[name]}".rstrip() for name, value in values_alone(report).items()]
+    found = ((VALUES[column], value) for column, value in values_of(report, report.baseline).items())
+    texts = [f"{name} {significant(value, 3)} {unit}".rstrip() for (name, unit), value in found if value == value]
     return f"{report.baseline}: {', '.join(texts)} ({consistency_of(report.tables.consistency, report.baseline)})"
 
 

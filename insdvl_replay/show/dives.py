@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 from urllib.parse import quote
 
 from msgspec import Struct
@@ -12,7 +12,7 @@ from insdvl_replay.core.quantities import is_whole, label
 from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Report, Result, Title
 from insdvl_replay.core.tables import Number, PooledRow
 from insdvl_replay.core.words import GateStatus, Severity, Verdict
-from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_sentence
+from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_sentence, shown_interval
 from insdvl_replay.evaluation.verdicts import consistency_of
 from insdvl_replay.show.answers import (
     TONES,
@@ -22,15 +22,17 @@ from insdvl_replay.show.answers import (
     as_shown,
     baseline_names,
     candidate_names,
-    evidence_cells,
     has_reference,
+    of_filter,
     pooled_answers,
     prediction_word,
+    ratio_text,
     reports_of,
+    spoken_rows,
     verdict_counts,
 )
-from insdvl_replay.show.dive import TOGETHER, UNITS_ALONE, dive_section, replay_result, values_alone
-from insdvl_replay.show.document import MISSING, number, percent, shown, table_csv, table_of
+from insdvl_replay.show.dive import TOGETHER, VALUES, dive_section, replay_result, values_of
+from insdvl_replay.show.document import MISSING, ShownColumn, number, shown, table_csv, table_of
 from insdvl_replay.show.first_screen import DIVE_PAGE, dives_forest, evidence_forest, first_screen, section
 from insdvl_replay.show.page import SIGNATURE, page
 
@@ -40,47 +42,70 @@ INDEX: Final = "index.html"
 
 
 class SummaryRow(Struct, frozen=True):
-    """One log and candidate. A failed log has a reason instead of numbers; without an evaluation there is no gain."""
+    """One log and candidate, or the only filter. A failed log has a reason instead of numbers."""
 
     log: str
     filter: str | None = None
-    mean_improvement_pct: Number = None
+    verdict: str | None = None
+    evidence: str | None = None  # quantity that decided, or could have
+    ratio: Number = None
+    low: Number = None  # ends of its interval, where it is shown
+    high: Number = None
+    mean_improvement_pct: Number = None  # None without an evaluation
     mean_convergence_improvement_pct: Number = None
+    prediction: str | None = None
     position_h_baseline_rmse_m: Number = None
     position_h_rmse_m: Number = None
     position_h_baseline_rmse_pct: Number = None
     position_h_rmse_pct: Number = None
-    improvement: str | None = None
-    prediction: str | None = None
-    verdicts: str | None = None
+    depth_rmse_m: Number = None
+    velocity_rmse_mps: Number = None
+    drift_60s_rms_m: Number = None
+    outage_60s_drift_m: Number = None  # median
+    nis_per_dof: Number = None
+    consistency: str | None = None  # the worst
+    consistency_of_each: str | None = None  # measurement, and of the errors
+    warnings: int | None = None
     status: str = "done"  # or failed
     reason: str | None = None
 
 
 def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
-    """Yield a row for each log and candidate, in the order of the logs."""
+    """Yield a row for each log and candidate, or its only filter, in the order of the logs."""
     for outcome in outcomes:
         if isinstance(outcome, Failure):
-            yield SummaryRow(outcome.log, status="failed", reason=outcome.reason)
+            yield SummaryRow(outcome.log, status=GateStatus.FAILED, reason=outcome.reason)
             continue
-        if not outcome.filters:
-            yield SummaryRow(outcome.log.name)
-        for name, candidate in outcome.filters.items():
-            gains = (candidate.mean_improvement_pct, candidate.mean_convergence_improvement_pct)
-            if candidate.verdict == Verdict.NOT_EVALUATED:
-                gains = (None, None)
-            positions = (*_position_rmse(outcome, name, "position_h"), *_position_rmse(outcome, name, "position_h_pct"))
-            measured = [row for row in outcome.tables.consistency if row.filter == name and is_whole(row.measurement)]
-            verdicts = [f"{row.measurement} {row.verdict}" for row in measured]
-            verdicts += [f"errors {candidate.credibility}"] if candidate.credibility else []
-            words = (candidate.verdict, candidate.prediction, "; ".join(verdicts))
-            yield SummaryRow(outcome.log.name, name, *gains, *positions, *words)
-
-
-def _position_rmse(report: Report, name: str, quantity: str) -> tuple[float | None, float | None]:
-    """Return the baseline's and a candidate's rms position error."""
-    rows = (row for row in report.tables.reference_error if (row.filter, row.quantity) == (name, quantity))
-    return next(((row.baseline_rmse, row.rmse) for row in rows), (None, None))
+        warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
+        for name in outcome.filters or [outcome.baseline]:
+            measured = of_filter(name, outcome.tables.consistency)
+            words = [f"{row.measurement} {row.verdict}" for row in measured if is_whole(row.measurement)]
+            known: dict[str, Any] = {key: value for key, value in values_of(outcome, name).items() if value == value}
+            if (candidate := outcome.filters.get(name)) is not None:
+                answer = answer_on_dive(outcome, name)
+                known |= {"verdict": answer.verdict, "prediction": candidate.prediction}
+                words += [f"errors {candidate.credibility}"] if candidate.credibility else []
+                if answer.verdict != Verdict.NOT_EVALUATED:
+                    known["mean_improvement_pct"] = candidate.mean_improvement_pct
+                    known["mean_convergence_improvement_pct"] = candidate.mean_convergence_improvement_pct
+                for row in spoken_rows(answer)[:1]:
+                    low, high = shown_interval(row) or (None, None)
+                    known |= {"evidence": row.quantity, "ratio": row.ratio, "low": low, "high": high}
+            for error in of_filter(name, outcome.tables.reference_error):
+                if error.quantity == "position_h":
+                    known["position_h_baseline_rmse_m"] = error.baseline_rmse
+                elif error.quantity == "position_h_pct":
+                    known["position_h_baseline_rmse_pct"] = error.baseline_rmse
+                    known["position_h_rmse_pct"] = error.rmse
+            worst = consistency_of(measured, name) if candidate is None else candidate.consistency
+            yield SummaryRow(
+                outcome.log.name,
+                name,
+                consistency=worst,
+                consistency_of_each="; ".join(words),
+                warnings=warnings,
+                **known,
+            )
 
 
 def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
@@ -208,64 +233,53 @@ MEANS: Final = (
     "states, by the filter's own covariance"
 )
 MEDIAN: Final = "without DVL: the median"
-# The columns of filters without candidates.
-_ALONE: Final = tuple((f"{name}\n[{unit}]" if unit else name, "r", name) for name, unit in UNITS_ALONE.items())
-_COLUMNS: Final = (
-    ("dive", "l", "dive"),
-    ("filter", "l", "filter"),
+
+
+def _interval(row: SummaryRow) -> str:
+    return MISSING if row.low is None else f"{ratio_text(row.low)} .. {ratio_text(row.high)}"
+
+
+_DIVE: Final[tuple[ShownColumn, ...]] = (("dive", "l", "log"), ("filter", "l", "filter"))
+_CONSISTENCY: Final[ShownColumn] = (
+    "consistency", "l", lambda row: row.status if row.consistency is None else row.consistency,
+)  # fmt: skip
+_LAST: Final[tuple[ShownColumn, ...]] = (
+    _CONSISTENCY,
+    ("warnings", "r", "warnings:cell"),
+    ("reason of failure", "l", "reason:cell"),
+)
+_CANDIDATE: Final[tuple[ShownColumn, ...]] = (
     ("verdict", "l", "verdict"),
-    ("evidence", "l", "evidence"),
-    ("ratio", "r", "ratio"),
-    ("interval", "r", "interval"),
-    ("predicted", "r", "predicted"),
-    ("prediction", "l", "prediction"),
-    ("baseline\nposition [m]", "r", "baseline_m"),
-    ("candidate\nposition [m]", "r", "candidate_m"),
-    *_ALONE,
-    ("consistency", "l", "consistency"),
-    ("warnings", "r", "warnings"),
-    ("reason of failure", "l", "reason"),
+    ("evidence", "l", lambda row: label(row.evidence) if row.evidence else MISSING),
+    ("ratio", "r", lambda row: ratio_text(row.ratio)),
+    ("interval", "r", _interval),
+    ("predicted", "r", "mean_improvement_pct:percent"),
+    ("prediction", "l", lambda row: prediction_word(row.mean_improvement_pct, row.prediction) or MISSING),
+    ("baseline\nposition [m]", "r", "position_h_baseline_rmse_m"),
+    ("candidate\nposition [m]", "r", "position_h_rmse_m"),
+)
+_ALONE: Final[tuple[ShownColumn, ...]] = tuple(
+    (f"{name}\n[{unit}]" if unit else name, "r", f"{column}:value") for column, (name, unit) in VALUES.items()
 )
 
 
 def _tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
     """Yield the table of dives, each with a link to its page, and the pooled evidence; empty columns are left out."""
-    rows, reports = [row for outcome in outcomes for row in _dive_rows(outcome)], reports_of(outcomes)
-    columns = [column for column in _COLUMNS if any(row[column[2]] not in (MISSING, "") for row in rows)]
-    title, footnote = "Each dive", MEDIAN
+    rows, reports = list(summary_rows(outcomes)), reports_of(outcomes)
+    title, footnote, own = "Each dive", MEDIAN, _ALONE
     if candidate_names(reports):
         known = any(has_reference(report) for report in reports)
-        title = "Each candidate against its baseline"
+        title, own = "Each candidate against its baseline", _CANDIDATE
         footnote = f"{MEANS}; position: rms of the horizontal error" if known else MEANS
-    links = tuple(f"{quote(row['dive'])}/{DIVE_PAGE}" if not row["reason"] else "" for row in rows)
+    columns = [*_DIVE, *own, *_LAST]
+    cells = zip(*table_of("", rows, columns).rows, strict=True)
+    columns = [column for column, texts in zip(columns, cells, strict=True) if set(texts) != {MISSING}]
+    links = tuple("" if row.reason else f"{quote(row.log)}/{DIVE_PAGE}" for row in rows)
     yield replace(table_of(title, rows, columns, footnote), links=links)
     yield from _pooled_tables(outcomes)
 
 
 def table_alone(outcomes: Sequence[Outcome]) -> DisplayTable:
     """Return the values of filters without candidates, a row for each dive."""
-    rows = [row for outcome in outcomes for row in _dive_rows(outcome)]
-    columns = (("dive by dive", "l", "dive"), *_ALONE, ("consistency", "l", "consistency"))
-    return table_of("", rows, columns, MEDIAN, spare=(2, 6, 3, 7), folds=8)
-
-
-def _dive_rows(outcome: Outcome) -> Iterator[dict[str, str]]:
-    """Yield a row for each candidate of a dive, or for its only filter, with text for each column."""
-    empty = dict.fromkeys((key for _, _, key in _COLUMNS), MISSING)
-    if isinstance(outcome, Failure):
-        yield empty | {"dive": outcome.log, "consistency": GateStatus.FAILED, "reason": outcome.reason}
-        return
-    warnings = sum(note.severity == Severity.WARNING for note in outcome.notes)
-    empty |= {"dive": outcome.log.name, "warnings": str(warnings), "reason": ""}
-    if not outcome.filters:
-        consistency = consistency_of(outcome.tables.consistency, outcome.baseline)
-        yield empty | {"filter": outcome.baseline, "consistency": consistency} | values_alone(outcome)
-    for name, candidate in outcome.filters.items():
-        row = empty | {"filter": name, "consistency": candidate.consistency}
-        row |= zip(("baseline_m", "candidate_m"), map(number, _position_rmse(outcome, name, "position_h")), strict=True)
-        answer = answer_on_dive(outcome, name)
-        row |= zip(("verdict", "evidence", "ratio", "interval"), (answer.verdict, *evidence_cells(answer)), strict=True)
-        if answer.verdict != Verdict.NOT_EVALUATED:
-            row["predicted"] = percent(answer.predicted_pct)
-            row["prediction"] = prediction_word(answer.predicted_pct, answer.prediction) or MISSING
-        yield row
+    columns = [("dive by dive", "l", "log"), *_ALONE, _CONSISTENCY]
+    return table_of("", summary_rows(outcomes), columns, MEDIAN, spare=(2, 6, 3, 7), folds=8)

@@ -281,10 +281,13 @@ def test_beams_are_counted_where_no_filter_takes_velocities() -> None:
 
 def test_one_filter_alone_has_a_row_and_a_link_for_each_dive() -> None:
     made = [judged(f"dive {number}", Verdict.BETTER) for number in range(2)]
-    dives = [replace(dive, filters={}, tables=replace(dive.tables, evidence=[])) for dive in made]
+    errors = [replace(row, filter="baseline") for row in made[0].tables.reference_error]
+    dives = [
+        replace(dive, filters={}, tables=replace(dive.tables, evidence=[], reference_error=errors)) for dive in made
+    ]
     lines = screen_lines(rendered(list(dives_screen([*dives, Failure("gone", "gone.mcap: is empty")], "index.html"))))
     assert [line.split() for line in lines if line.startswith(("dive 1", "gone"))] == [
-        ["dive", "1", "1.5", "-", "0.3", "-", "consistent"],
+        ["dive", "1", "1.5", "-", "-", "-", "consistent"],
         ["gone", *"----", "failed"],
     ]
     assert index_page(dives).count(b"report.html") == 2

@@ -281,7 +281,7 @@ def test_summary_has_a_row_for_each_log_and_a_reason_for_a_failed_one() -> None:
         ("two", "", "failed"),
     ]
     assert (rows[0]["position_h_baseline_rmse_m"], rows[0]["position_h_rmse_m"]) == ("1.25", "1.5")
-    found = [word.split()[1] for word in rows[0]["verdicts"].split("; ")]
+    found = [word.split()[1] for word in rows[0]["consistency_of_each"].split("; ")]
     assert found == ["consistent", "overconfident", "overconfident"]
     assert rows[1]["reason"] == "two.mcap: is empty"
 

@@ -8,7 +8,7 @@ from insdvl_replay.replay import replay_dive
 from insdvl_replay.results.result_files import report_of
 from insdvl_replay.show.answers import Failure
 from insdvl_replay.show.dive import dive_document, replay_result
-from insdvl_replay.show.dives import index_page, overview_parts
+from insdvl_replay.show.dives import index_page, overview_parts, summary_rows
 from insdvl_replay.show.render import render
 from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 from insdvl_replay.sim.dive import simulate_dive
@@ -65,3 +65,17 @@ def test_the_page_of_several_dives_has_their_values_and_links_and_no_empty_colum
     assert f'<a href="{alone.log.name}/report.html">{alone.log.name}</a>' in page
     assert "no log" in page
     assert "position rms" not in index_page([pair, pair]).decode(), "these are in the evidence"
+
+
+def test_the_summary_has_the_same_values_with_and_without_a_candidate(reports: tuple[Report, Report]) -> None:
+    alone, pair = reports
+    (baseline,), (aided,) = summary_rows([alone]), summary_rows([pair])
+    assert (baseline.filter, baseline.verdict, baseline.evidence, aided.filter) == ("baseline", None, None, "aided")
+    assert baseline.position_h_rmse_m == aided.position_h_baseline_rmse_m
+    assert baseline.position_h_rmse_pct == aided.position_h_baseline_rmse_pct
+    assert aided.verdict == pair.filters["aided"].verdict
+    decided = next(row for row in pair.tables.evidence if row.quantity == aided.evidence)
+    assert aided.ratio == decided.ratio
+    for row in (baseline, aided):
+        assert None not in (row.depth_rmse_m, row.velocity_rmse_mps, row.drift_60s_rms_m, row.outage_60s_drift_m)
+        assert row.nis_per_dof == pytest.approx(0.0013, rel=0.1)
