@@ -270,7 +270,7 @@ def checked_dives(
                 outcome = next(replays)
                 folder = outcome.job.target
                 if isinstance(outcome.result, Exception):
-                    checked.append(Checked(folder.name, outcome.result, folder))
+                    checked.append(Checked(outcome.result, folder))
                     continue
             checked += checked_results(folder)
     return checked

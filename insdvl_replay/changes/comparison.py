@@ -17,7 +17,7 @@ from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, paired_rows, within
 from insdvl_replay.core.errors import ConfigError, Note, counted, listed, require_known
 from insdvl_replay.core.result import StoredReport, StoredResult, flattened
-from insdvl_replay.core.tables import LAYOUTS, Number, TableLayout
+from insdvl_replay.core.tables import LAYOUTS, Number
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.document import FORMS
@@ -125,7 +125,7 @@ def compare_results(
     renamed = _with_new_names([was for was, _, _ in both], filter_pairs)
     pairs = [(was, is_) for was, (_, is_, _) in zip(renamed, both, strict=True)]
     frames = [[*paired_rows(was.report, is_.report, layouts)] for was, is_ in pairs]
-    notes = [*notes_before, *notes_after, *_notes_on_filters(pairs), *_notes_on_tables(pairs, frames, layouts)]
+    notes = [*notes_before, *notes_after, *_notes_on_names(pairs, frames)]
     known = dict.fromkeys(column for frame in frames for row in frame for column in (*row.new, *row.old))
     if not known:  # an empty comparison must not pass
         names = ", ".join(layout.name for layout in layouts)
@@ -247,40 +247,29 @@ def _with_new_names(results: Sequence[StoredResult], pairs: Mapping[str, str]) -
 # --- What else differs.
 
 
-def _notes_on_filters(pairs: Sequence[tuple[StoredResult, StoredResult]]) -> Iterator[Note]:
-    """Note the candidates that are on one side only; raise if none is on both sides of any dive."""
-    names = [(set(old.report.filters), set(new.report.filters)) for old, new in pairs]
-    theirs, ours = (sorted(set[str]().union(*side)) for side in zip(*names, strict=True))
-    if theirs and ours and not any(old & new for old, new in names):
+def _notes_on_names(
+    pairs: Sequence[tuple[StoredResult, StoredResult]], frames: Iterable[Iterable[RowPair]]
+) -> Iterator[Note]:
+    """Note the candidates and tables that are on one side only, or unknown; raise if no candidate is on both sides."""
+    candidates = [(set(old.report.filters), set(new.report.filters)) for old, new in pairs]
+    theirs, ours = (sorted(set[str]().union(*side)) for side in zip(*candidates, strict=True))
+    if theirs and ours and not any(old & new for old, new in candidates):
         raise ConfigError(
             f"no candidate of the old results ({', '.join(theirs)}) is in the new ones ({', '.join(ours)})",
             f"match them by name: --pair {theirs[0]}={ours[0]}",
         )
-    gone = Counter(name for old, new in names for name in old - new)
-    added = Counter(name for old, new in names for name in new - old)
-    for side, word, counts in (("old", ChangeVerdict.GONE, gone), ("new", ChangeVerdict.NEW, added)):
-        for name, count in sorted(counts.items()):
-            text = f"filter {name} is only in the {side} results ({counted(count, 'dive')}); its rows are {word}"
-            hint = "--pair OLD=NEW compares filters with different names" if gone and added else ""
-            if side == "new" and not gone:
-                hint = "its verdict against the baseline is in the new results"
-            yield Note("filter_on_one_side", text, count, Severity.WARNING, hint)
-
-
-def _notes_on_tables(
-    pairs: Sequence[tuple[StoredResult, StoredResult]],
-    frames: Sequence[Sequence[RowPair]],
-    layouts: Sequence[TableLayout],
-) -> Iterator[Note]:
-    """Note the tables that are on one side only, or unknown."""
-    for layout in layouts:
-        tables = [[row for row in frame if row.layout is layout] for frame in frames]
-        have = [(any(row.old for row in rows), any(row.new for row in rows)) for rows in tables]
-        for side, word, missing in (("old", "new", (False, True)), ("new", "gone", (True, False))):
-            if count := have.count(missing):
-                whose = f"the {side} results of {counted(count, 'dive')}"
-                text = f"table {layout.name}: {whose} have no rows; all its rows are {word}"
-                yield Note("table_on_one_side", text, count, Severity.WARNING)
+    tables = [({row.layout.name for row in rows if row.old}, {row.layout.name for row in rows if row.new})
+              for rows in map(list, frames)]  # fmt: skip
+    gone, added = set(theirs) - set(ours), set(ours) - set(theirs)
+    hints = {"filter": "its verdict against the baseline is in the results that have it", "table": ""}
+    if gone and added:
+        hints["filter"] = "--pair OLD=NEW compares filters with different names"
+    for kind, names in (("filter", candidates), ("table", tables)):
+        for place, side, word in ((0, "old", ChangeVerdict.GONE), (1, "new", ChangeVerdict.NEW)):
+            counts = Counter(name for pair in names for name in pair[place] - pair[1 - place])
+            for name, count in sorted(counts.items()):
+                text = f"{kind} {name} is only in the {side} results ({counted(count, 'dive')}); its rows are {word}"
+                yield Note(f"{kind}_on_one_side", text, count, Severity.WARNING, hints[kind])
     unknown = Counter(table for pair in pairs for side in pair for table in {*side.report.tables} - _ORDER.keys())
     for table, count in unknown.items():
         text = f"table {table}: unknown to this version, and ignored"

@@ -247,11 +247,15 @@ def _check_cell_gate(gate: CellGate) -> None:
 
 
 class Checked(NamedTuple):
-    """A dive to check."""
+    """The result of a dive, or why there is none, and its folder."""
 
-    name: str
     result: StoredReport | Exception
-    folder: Path  # of the result
+    folder: Path
+
+    @property
+    def name(self) -> str:
+        """Name of the dive."""
+        return self.result.log.name if isinstance(self.result, StoredReport) else self.folder.name
 
 
 def expected_path(gates: Gates, gate: Gate, dive: str) -> Path:

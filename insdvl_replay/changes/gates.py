@@ -128,15 +128,15 @@ def checked_results(folder: Path) -> Iterator[Checked]:
     try:
         for result in read_results(folder)[0]:
             if is_dive_name(result.name):
-                yield Checked(result.name, result.report, result.folder)
+                yield Checked(result.report, result.folder)
                 continue
             error = ResultError(
                 f"{result.folder / COMPLETE}: log.name = {result.name[:LONGEST_NAME]!r} is not a valid name of a dive",
                 "replay its log again; the dive gets the name of the file",
             )
-            yield Checked(result.folder.name, error, result.folder)
+            yield Checked(error, result.folder)
     except UserError as error:
-        yield Checked(folder.name, error, folder)
+        yield Checked(error, folder)
 
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
@@ -145,7 +145,7 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
 
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:
-        return Checked(EVERY_DIVE, ResultError("no dive has a result", "see the dives above"), Path())
+        return Checked(ResultError("no dive has a result", "see the dives above"), Path(EVERY_DIVE))
     rows = list[Row]()
     for name in dict.fromkeys(name for report in reports for name in report.filters):
         evidence = [
@@ -155,7 +155,7 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
         ]
         rows += [asdict(row) for row in pooled_evidence(name, msgspec.convert(evidence, list[list[EvidenceRow]]))]
     report = StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline)
-    return Checked(EVERY_DIVE, report, Path())
+    return Checked(report, Path(EVERY_DIVE))
 
 
 # --- All gates.

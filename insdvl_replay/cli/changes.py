@@ -251,7 +251,7 @@ def check(
     )
     replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
     checked = checked_dives(chosen, paths, results, options, replayed)
-    codes = [log_failure(result, verbose) for _, result, _ in checked if isinstance(result, Exception)]
+    codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.expected is None for gate in chosen.gates):
             raise ConfigError(f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"')
