@@ -5,7 +5,7 @@ evidence of a candidate over several dives is. Of a single dive, its errors over
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Final
 
 import msgspec
@@ -13,9 +13,10 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
+from insdvl_replay.changes.cells import is_number, paired_rows
 from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, DRIFT_QUANTITIES, FEWEST_DIVES
 from insdvl_replay.core.result import StoredReport, StoredResult
-from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
+from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation import answers
 from insdvl_replay.evaluation.answers import AGAINST, pooled_candidate, pooled_sentence, verdict_of
@@ -27,6 +28,7 @@ from insdvl_replay.results.trajectory import read_trajectory
 OLD: Final = "before"  # name of the old side in sentences
 # Evidence of a single dive: columns of its trajectory, with their units.
 _OVER_TIME: Final = {"position": ("position_error_m", "m"), "velocity": ("velocity_error_mps", "m/s")}
+_TABLES: Final = [layout for layout in TABLES if layout.name in ("evidence", "drift", "outage")]
 _NO_CHANGE: Final = 0.01  # of every value that decides: so small a change on a dive is none
 
 
@@ -127,48 +129,37 @@ def _not_evaluated(report: StoredReport, name: str) -> str:
 
 
 def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterator[EvidenceRow]:
-    """Yield the values of a filter that both sides have, new over old."""
-    before, after = _values_of(old.report, name), _values_of(new.report, name)
-    for quantity, (evidence, unit, was) in before.items():
-        if quantity in after:
-            now = after[quantity][2]
+    """Yield the evidence of a filter that both sides have, new over old; of a filter alone, its drift and outage tests.
+
+    An onboard solution has a start of its own, and its rows have other values of the baseline: they come last.
+    """
+    frame = [*paired_rows(old.report, new.report, _TABLES)]
+    settings = new.report.config.get("filters")
+    filters = settings.items() if isinstance(settings, dict) else ()
+    solutions = {other for other, own in filters if isinstance(own, dict) and own.get("solution")}
+    evidence = [pair for pair in frame if pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY]
+    evidence.sort(key=lambda pair: pair.filter in solutions)
+    is_baseline, column = name == new.report.baseline, "baseline" if name == new.report.baseline else "value"
+    cells = [
+        (pair.row, str(pair.new.get("evidence")), column, pair)
+        for pair in evidence
+        if is_baseline or pair.filter == name
+    ]
+    if not evidence:
+        own = [pair for pair in frame if pair.filter == name]
+        cells = [(pair.row, "accuracy", "rms", pair) for pair in own if pair.layout.name == "drift"]
+        cells = [cell for cell in cells if cell[0] in DRIFT_QUANTITIES and cell[0] != "position_h"]
+        cells += [
+            (f"outage_{pair.row}s", "outage", "drift_rms_m", pair) for pair in own if pair.layout.name == "outage"
+        ]
+    done = set()
+    for quantity, kind, column, pair in cells:
+        was, now = pair.old.get(column), pair.new.get(column)
+        if is_number(was) and is_number(now) and quantity not in done:
+            done.add(quantity)
             ratio = 1.0 if was == now else now / was if was > 0.0 else None
-            yield EvidenceRow(new.name, name, evidence, quantity, unit, was, now, ratio, None, None, None, 1, 0, "")
-
-
-def _values_of(report: StoredReport, name: str) -> Mapping[str, tuple[str, str, float]]:
-    """Return kind, unit and value of a filter's evidence by quantity; of a filter alone, its drift and outage tests."""
-    settings = report.config.get("filters")
-    filters = settings if isinstance(settings, dict) else {}
-    is_baseline, rows = name == report.baseline, report.tables.get("evidence", [])
-    rows = [row for row in rows if row.get("evidence") != CONSISTENCY]
-    if rows:
-        # An onboard solution has a start of its own, and its rows other values of the baseline: they come last.
-        solutions = [other for other, own in filters.items() if isinstance(own, dict) and own.get("solution")]
-        rows = sorted(rows, key=lambda row: row["filter"] in solutions)
-        column = "baseline" if is_baseline else "value"
-        cells = [
-            (row["quantity"], row.get("evidence"), row.get("unit"), row.get(column))
-            for row in rows
-            if is_baseline or row["filter"] == name
-        ]
-    else:
-        drift, outage = (
-            [row for row in report.tables.get(table, []) if row["filter"] == name] for table in ("drift", "outage")
-        )
-        cells = [
-            *((row["quantity"], "accuracy", row.get("unit"), row.get("rms")) for row in drift),
-            *((f"outage_{row['window_s']}s", "outage", "m", row.get("drift_rms_m")) for row in outage),
-        ]
-        cells = [cell for cell in cells if cell[1] == "outage" or cell[0] in _DRIFT]
-    values: dict[str, tuple[str, str, float]] = {}
-    for quantity, evidence, unit, value in cells:
-        if isinstance(value, int | float):
-            values.setdefault(str(quantity), (str(evidence), str(unit), float(value)))
-    return values
-
-
-_DRIFT: Final = [quantity for quantity in DRIFT_QUANTITIES if quantity != "position_h"]
+            unit, values = pair.layout.unit_of(column, pair.unit), (float(was), float(now), ratio)
+            yield EvidenceRow(new.name, name, kind, quantity, unit, *values, None, None, None, 1, 0, "")
 
 
 def _size_of_change(row: EvidenceRow) -> float:
