@@ -12,6 +12,8 @@ from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"
 """Ending of a file that lists dives, one a line."""
+MANIFEST_SUFFIX: Final = ".toml"
+"""Ending of a file that lists dives with their digests."""
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
 
@@ -19,12 +21,17 @@ BAG_METADATA: Final = "metadata.yaml"
 def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = False) -> list[Path]:
     """Find the dives that are meant, in the order of the names, by name below a folder, and each once.
 
-    A name is a log, .mcap, .db3 or .bag, or a table; a bag folder; a folder, which stands for every log and bag below
-    it, and for the one dive that its tables are, if it has no logs; a pattern
-    with ``*``, ``?`` or ``**``; or a .txt file that names one of these on each line, seen from its own folder, ``#``
-    begins a comment. Hidden folders are left out. Where a folder or a pattern stands for logs that differ in their
-    ending alone, they are one log before and after it was converted, and one of them is taken, .mcap first. Result
-    folders are dives if ``results``, else they are left out with the replays in them.
+    A name is one of these:
+
+    - a log, .mcap, .db3 or .bag, a table, or a bag folder;
+    - a folder, which stands for every log and bag below it; tables in a folder without logs are one dive;
+    - a pattern with ``*``, ``?`` or ``**``;
+    - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment;
+    - a .toml manifest, ``dives.toml#TAG`` for its dives with a tag.
+
+    Hidden folders are left out. Where a folder or a pattern stands for logs that differ in their ending alone, they are
+    one log before and after it was converted, and one of them is taken, .mcap first. Result folders are dives if
+    ``results``, else they are left out with the replays in them.
 
     A name without ``*`` or ``?`` that does not exist is among the dives, so that it is reported like any other log that
     cannot be read; so is a folder that may not be read. A pattern, folder or list without any dive, a list that cannot
@@ -46,7 +53,8 @@ def _natural(path: Path) -> tuple[NaturalKey, ...]:
 
 
 def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[Path]:
-    path = base / name
+    path, (listing, _, tag) = base / name, name.partition("#")
+    manifest = base / listing
     if lists and path.suffix == LIST_SUFFIX and path.is_file():
         try:
             lines = [line.strip() for line in read_text(path).splitlines()]
@@ -55,8 +63,15 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
             raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", hint) from error
         chosen = [line for line in lines if line and not line.startswith("#")]
         found = [dive for line in chosen for dive in _meant(line, path.parent, results=results, lists=False)]
+    elif lists and manifest.suffix == MANIFEST_SUFFIX and manifest.is_file():
+        from insdvl_replay.batch.manifest import manifest_dives
+
+        found = manifest_dives(manifest, tag)
     elif path.is_dir():
         found = list(_in_folder(path, set(), results=results))
+    elif "://" in name:
+        hint = 'list it in a manifest: [[dive]] url = "..." and sha256 = "..."'
+        raise ConfigError(f"{name}: a remote log needs its digest", hint)
     elif path.exists() or not set("*?[") & set(name):
         return [path]
     else:
