@@ -28,7 +28,15 @@ from insdvl_replay.logs.columns.tables import Table, read_sample, read_tables
 from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.formats.decoded import DecodedFields
 from insdvl_replay.logs.formats.definitions import PRIMITIVES
-from insdvl_replay.logs.formats.fields import NUMBER, Kinds, channel_paths, check_encoding, open_reader, split_paths
+from insdvl_replay.logs.formats.fields import (
+    NUMBER,
+    TABLE,
+    Kinds,
+    channel_paths,
+    check_encoding,
+    open_reader,
+    split_paths,
+)
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.recording import Recording
 from insdvl_replay.logs.read import Finding, RoleColumns, loss_notes, source_notes, stamp_notes
@@ -325,6 +333,11 @@ class ProbedTopic:
         """Its name."""
         return self.channel.topic
 
+    @property
+    def is_table(self) -> bool:
+        """Whether its messages are the rows of a table."""
+        return self.channel.encoding == TABLE
+
     def stated_unit(self, path: str) -> str:
         """Return the unit that a table states for a path; empty if there is none."""
         return self.channel.metadata.get(split_paths(path)[0], "")
@@ -343,6 +356,8 @@ class ProbedTopic:
         named = known if words is None else [candidate for candidate in known if words.search(candidate.path.lower())]
         if quantity == "specific_force" and not named:
             return [candidate for candidate in known if candidate.force_unit]
+        if quantity == "velocity" and self.is_table and not named:
+            return [candidate for candidate in known if "dvl" in candidate.path]
         return named
 
 

@@ -167,7 +167,7 @@ def _apart(clock: Clock) -> str:
 
 def _stamp(log: Recording, seen: ProbedTopic, role: str) -> Iterator[Setting]:
     """Propose the stamp of a topic: a field that agrees with the recorder's clock. Tables need none."""
-    if seen.channel.encoding == TABLE:
+    if seen.is_table:
         return
     clocks: list[tuple[Clock, str]] = []
     times = sorted(time_paths(seen.known), key=lambda path: path != _HEADER)
@@ -636,12 +636,13 @@ def _unknown_topics(log: Recording, findings: Sequence[Finding], config: Config)
     for role, settings_of, needed in _ROLES:
         if role in wanted:
             named = getattr(config, role).topic
-            free = [topic for topic in seen if role != "imu" or topic.topic != config.dvl.topic]
-            # The topic alone that the configuration names, if the log has it. The topic of one role is no other's.
+            free = [topic for topic in seen if role != "imu" or topic.is_table or topic.topic != config.dvl.topic]
+            # The topic alone that the configuration names, if the log has it. The topic of one role is no other's, but
+            # a table may have the columns of several.
             candidates = [topic for topic in free if topic.topic == named] or free
             proposed = list(settings_of(log, candidates))
             settings += proposed or _listed(role, needed, candidates)
-            seen = [topic for topic in seen if not proposed or topic.topic != proposed[0].value]
+            seen = [topic for topic in seen if topic.is_table or not proposed or topic.topic != proposed[0].value]
     return settings, unseen
 
 

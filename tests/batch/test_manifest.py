@@ -129,10 +129,12 @@ class Liar(BaseHTTPRequestHandler):
 
 def test_a_server_that_lies_about_the_length_is_refused(tmp_path: Path, cache: Path) -> None:
     pytest.importorskip("aiohttp")
-    server = HTTPServer(("127.0.0.1", 0), partial(Liar, len(LOG)))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    url = f"http://127.0.0.1:{server.server_port}/dive.mcap"
-    with pytest.raises(LogError, match=r"the SHA-256 of what was sent|cannot be fetched"):
-        find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')])
-    server.shutdown()
+    with HTTPServer(("127.0.0.1", 0), partial(Liar, len(LOG))) as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        url = f"http://127.0.0.1:{server.server_port}/dive.mcap"
+        with pytest.raises(LogError, match=r"the SHA-256 of what was sent|cannot be fetched"):
+            find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')])
+        server.shutdown()
+        thread.join()
     assert not [path for path in cache.rglob("*") if path.is_file()]

@@ -66,6 +66,29 @@ def test_faults_of_published_tables_become_settings(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+def test_one_table_may_have_the_columns_of_all_sensors(tmp_path: Path) -> None:
+    """Rows of the IMU, of the DVL and of the reference, with empty cells for the others."""
+    dive = simulate_dive("calibration", seed=4, duration_s=60.0, imu_rate_hz=50.0)
+    tables = tables_of(dive)
+    beams = [tables["dvl"][f"Beam {number}"] for number in (1, 2, 3)]
+    tables["dvl"] = {
+        "Time [ns]": tables["dvl"]["Time [ns]"],
+        **dict(zip(("dvl_vx", "dvl_vy", "dvl_vz"), beams, strict=True)),
+    }
+    joined = pd.concat([pd.DataFrame(table) for table in tables.values()]).sort_values("Time [ns]", kind="stable")
+    joined.to_csv(tmp_path / "all.csv", index=False)
+    found = {setting.key: setting.value for setting in propose_settings(tmp_path / "all.csv", Config()).settings}
+    assert {found[f"{role}.topic"] for role in ("imu", "dvl", "reference")} == {"all.csv"}
+    fields = [found[key] for key in ("imu.specific_force", "imu.angular_rate", "dvl.velocity", "reference.velocity_n")]
+    assert fields == [
+        "acc_x, acc_y, acc_z",
+        "gyro_x, gyro_y, gyro_z",
+        "dvl_vx, dvl_vy, dvl_vz",
+        "v_north, v_east, v_down",
+    ]
+    assert not [key for key in found if key.endswith(("stamp", "latency_s"))]
+
+
 @needs_dives
 def test_faults_of_a_recorded_dive_are_found() -> None:
     """Its README tells what they are, to some 5 ms."""

@@ -106,6 +106,7 @@ def test_times_come_from_a_column_or_a_rate(tmp_path: Path, stamp: str | None, t
     np.testing.assert_array_equal(dive.imu.time_ns, 10_000_000 * np.arange(1000))
     np.testing.assert_array_equal(dive.dvl.time_ns, 200_000_000 * np.arange(50))
     assert ("table_without_times" in codes(dive)) == (title != "t")
+    assert "tables_from_0" in codes(dive)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])

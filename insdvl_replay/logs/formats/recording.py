@@ -97,6 +97,11 @@ class Recording:
             names = ", ".join(part.path.name for part in self.parts)
             notes.insert(0, Note("joined_files", f"read as one dive: {names}", len(self.parts)))
             logs = [part for part in self.parts if not all(channel.encoding == TABLE for channel in part.channels)]
+            at_0 = [part.path.name for part in self.parts if part not in logs and part.span_ns and not part.span_ns[0]]
+            if len(at_0) > 1:
+                text = f"tables that begin at 0 s may have no common clock: {', '.join(at_0)}"
+                hint = "to shift one: dvl.latency_s or reference.latency_s"
+                notes.append(Note("tables_from_0", text, len(at_0), hint=hint))
             spans = [part.span_ns for part in logs if part.span_ns]
             reached = accumulate((last for _, last in spans), max)
             following = zip(reached, spans[1:], strict=False)
