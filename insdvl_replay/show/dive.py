@@ -318,9 +318,9 @@ def dive_document(
     candidates = f"{', '.join(report.filters)} against " if report.filters else ""
     return [
         Title(f"{report.log.name}: {candidates}{report.baseline} over {report.log.duration_s:.1f} s"),
+        *([] if report.filters else [Callout(line_alone(report))]),
         Only(PRINTED, (*verdicts, *headline)),
         Only(PAGE, (*_first_screen(report, panels, headline), *by_candidate)),
-        *([] if report.filters else [line_alone(report)]),
         *track_fit_line(report),
         *([] if has_reference(report) else [NO_REFERENCE]),
         Only(PRINTED, (*by_candidate, *outage)),

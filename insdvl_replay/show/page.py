@@ -164,10 +164,10 @@ def table_html(table: DisplayTable) -> str:
     rows = []
     for row, link in zip(table.rows, table.links or [""] * len(table.rows), strict=True):
         cells = ["<br>".join(map(escape, cell_lines(cell))) for cell in row]
-        if link:
-            cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
         # A cell of many words is folded.
         classes = [" class=words" if len(cell) > _SHORT else kind for kind, cell in zip(kinds, cells, strict=True)]
+        if link:
+            cells[0] = f'<a href="{escape(link)}">{cells[0]}</a>'
         rows.append("".join(f"<td{kind}>{cell}</td>" for kind, cell in zip(classes, cells, strict=True)))
     lines = "\n".join(f"<tr>{row}</tr>" for row in rows)
     name, colon, rest = table.title.partition(": ")

@@ -40,6 +40,7 @@ def test_every_screen_and_page_has_them(reports: tuple[Report, Report]) -> None:
     for text in (line, *shown):
         assert all(name in text for name in NAMES)
         assert "Reference error: baseline against" not in text
+    assert shown[-1].index("position rms") < shown[-1].index("CEP50"), "the answer is above what follows from it"
 
 
 def test_several_dives_have_a_row_each(reports: tuple[Report, Report]) -> None:
