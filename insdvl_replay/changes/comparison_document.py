@@ -1,7 +1,6 @@
 """A comparison on a screen, as a page and in files: the answers first, then what else changed."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace as with_fields
 from typing import Final
 
 from msgspec.structs import astuple
@@ -99,7 +98,7 @@ def comparison_document(
         Title(_title(comparison)),
         *_answer_screen(comparison.answers),
         *(Sentences(tuple(block)) for block in blocks if block),
-        *(with_fields(table, title_apart=True) for table in tables),
+        *tables,
         *([Sentences(tuple(apart))] if apart else []),
         Sentences(tuple(_closing_lines(comparison, values=values, command=command))),
     ]

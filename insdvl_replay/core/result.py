@@ -133,7 +133,6 @@ class DisplayTable:
     alignment: str  # a letter for each column: l for words, r for numbers
     rows: tuple[tuple[CellText, ...], ...]
     footnote: str = ""
-    title_apart: bool = False  # on a terminal, print the title above the table, unfolded
     spare: tuple[int | tuple[int, ...], ...] = ()  # columns that a narrow terminal leaves out, in this order
     folds: int = 0  # letters that may be folded before a column is left out
     links: tuple[str, ...] | None = None  # link target of the first cell of each row; "" for none

@@ -26,29 +26,23 @@ _DIGITS, _HEIGHT_DIGITS = 9, 3  # of a degree, which is 0.1 mm, and of a metre
 
 def save_tracks(replay: Replay, folder: Path, formats: Sequence[str]) -> None:
     """Write the tracks of all filters, and of the reference inside the replay, if its positions are known."""
+    origin = replay.histories[0].position[0]  # All count from where the baseline starts.
     if TUM in formats:
-        _save_tum(replay, folder)
+        for history in replay.histories:
+            text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
+            (folder / trajectory_file(history.filter)).write_bytes(text)
+        if replay.dive.reference is not None:
+            inside = replay.dive.reference.within(replay.start_ns, replay.end_ns)
+            if text := tum_trajectory(inside.time_ns, inside.position, inside.mat_nb, origin):
+                (folder / REFERENCE_TRAJECTORY).write_bytes(text)
     if maps := [format_ for format_ in formats if format_ in MAPS]:
         frames = {history.filter: history_frame(history) for history in replay.histories}
-        origin = replay.histories[0].position[0]
         reference = reference_frame(replay.dive.reference, replay.start_ns, replay.end_ns, origin)
         for format_ in maps:
             (folder / MAPS[format_]).write_bytes(map_of_tracks(format_, replay.dive.name, frames, reference))
 
 
 # --- TUM.
-
-
-def _save_tum(replay: Replay, folder: Path) -> None:
-    """Write a file for each trajectory. All count from where the baseline starts, and all are of the IMU."""
-    origin = replay.histories[0].position[0]
-    for history in replay.histories:
-        text = tum_trajectory(history.time_ns, history.position, history.mat_nb, origin)
-        (folder / trajectory_file(history.filter)).write_bytes(text)
-    if replay.dive.reference is not None:
-        inside = replay.dive.reference.within(replay.start_ns, replay.end_ns)
-        if text := tum_trajectory(inside.time_ns, inside.position, inside.mat_nb, origin):
-            (folder / REFERENCE_TRAJECTORY).write_bytes(text)
 
 
 def tum_trajectory(

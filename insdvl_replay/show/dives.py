@@ -157,7 +157,7 @@ def _summary_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable]:
         if rows:
             title = f"Summary: {label(quantity)} [{unit}] of dives by filters"
             header = ("dive", baseline_names(reports), *names)
-            yield DisplayTable(title, header, f"lr{'r' * len(names)}", tuple(rows), title_apart=True)
+            yield DisplayTable(title, header, f"lr{'r' * len(names)}", tuple(rows))
 
 
 _TOGETHER: Final = {"pooled": _pooled_tables, "summary": _summary_tables}

@@ -496,25 +496,16 @@ _RIGHTMOST: Final = 97.0  # Labels from here on end at their place, in percent o
 _FEWEST_BEAMS: Final = 3  # With fewer valid beams a ping has no velocity.
 
 
-@dataclass(frozen=True)
-class Source:
-    """One sensor, or one beam."""
-
-    name: str
-    time_ns: TimeNs  # (k,), of all its samples
-    valid: NDArray[np.bool_]  # (k,), whether a sample has a value
-
-
 def coverage_strips(replay: Replay) -> str:
     """Draw a strip for each sensor, as HTML: as high as the share of the time that its valid samples cover."""
     clock, rows = Clock(replay.start_ns, replay.end_ns), []
-    for source in _sources(replay.dive):
-        shares = covered_shares(source, clock.start_ns, clock.end_ns)
+    for name, time_ns, valid in _sources(replay.dive):
+        shares = covered_shares(time_ns, valid, clock.start_ns, clock.end_ns)
         heights = np.round(shares * _HEIGHT).astype(int)
         changes = np.flatnonzero(np.diff(heights, prepend=-1)).tolist()
         steps = "".join(f"H{column}V{_HEIGHT - heights[column]}" for column in changes)
         rows.append(
-            f'<div class="source"><span>{escape(source.name)}</span>'
+            f'<div class="source"><span>{escape(name)}</span>'
             f'<span class="share">{100.0 * float(shares.mean()):.1f} %</span></div>'
             f'<svg class="strip" viewBox="0 0 {_COLUMNS} {_HEIGHT}" preserveAspectRatio="none">'
             f'<path d="M0 {_HEIGHT}{steps}H{_COLUMNS}V{_HEIGHT}Z"/></svg>'
@@ -528,33 +519,35 @@ def coverage_strips(replay: Replay) -> str:
     return f'<div class="strips">{"".join(rows)}<div></div><svg class="times">{times}</svg></div>'
 
 
-def _sources(dive: Dive) -> Iterator[Source]:
-    yield Source("IMU", dive.imu.time_ns, np.ones(len(dive.imu.time_ns), dtype=bool))
+def _sources(dive: Dive) -> Iterator[tuple[str, TimeNs, NDArray[np.bool_]]]:
+    """Yield name, times and validity of the samples of each sensor, or of each beam."""
+    yield "IMU", dive.imu.time_ns, np.ones(len(dive.imu.time_ns), dtype=bool)
     if dive.dvl.beam_velocity_mps is not None:
         valid = np.isfinite(dive.dvl.beam_velocity_mps)
         for beam, column in enumerate(valid.T):
-            yield Source(f"DVL beam {beam}", dive.dvl.time_ns, column)
-        yield Source("DVL, three beams or more", dive.dvl.time_ns, valid.sum(axis=1) >= _FEWEST_BEAMS)
+            yield f"DVL beam {beam}", dive.dvl.time_ns, column
+        yield "DVL, three beams or more", dive.dvl.time_ns, valid.sum(axis=1) >= _FEWEST_BEAMS
     elif dive.dvl.velocity_d is not None:
-        yield Source("DVL velocity", dive.dvl.time_ns, np.isfinite(dive.dvl.velocity_d.sum(axis=1)))
+        yield "DVL velocity", dive.dvl.time_ns, np.isfinite(dive.dvl.velocity_d.sum(axis=1))
     if (reference := dive.reference) is not None:
         # One strip where each row has all that the reference ever has, else one for each quantity.
         known = {quantity: rows for quantity, rows in reference.known.items() if rows.any()}
         if all(rows.all() for rows in known.values()):
             known = {"": np.ones(len(reference.time_ns), dtype=bool)}
         for quantity, rows in known.items():
-            yield Source(f"reference {quantity}".strip(), reference.time_ns[rows], rows[rows])
+            yield f"reference {quantity}".strip(), reference.time_ns[rows], rows[rows]
 
 
-def covered_shares(source: Source, start_ns: int, end_ns: int, columns: int = _COLUMNS) -> Floats:
-    """Return the share of each column of a span, (columns,), that valid samples cover, from 0 to 1."""
-    time_ns = source.time_ns
+def covered_shares(
+    time_ns: TimeNs, valid: NDArray[np.bool_], start_ns: int, end_ns: int, columns: int = _COLUMNS
+) -> Floats:
+    """Return the share of each column of a span, (columns,), that valid samples, (k,), cover, from 0 to 1."""
     if len(time_ns) < 2:
         return np.zeros(columns)
     # A sample lasts until the next, but no longer than some usual steps.
     steps_ns = np.diff(time_ns).astype(np.float64)
     usual_ns = float(np.median(steps_ns))
-    lasts_ns = np.minimum(np.append(steps_ns, usual_ns), _MISSING * usual_ns) * source.valid
+    lasts_ns = np.minimum(np.append(steps_ns, usual_ns), _MISSING * usual_ns) * valid
     # What is covered until each edge: the samples before it, less what of the last is still to come.
     edges_ns = np.linspace(start_ns, end_ns, columns + 1, dtype=np.int64)
     before_ns = np.append(0.0, np.cumsum(lasts_ns))

@@ -5,7 +5,7 @@ Text is shown as everywhere (`errors.visible`) and cannot leave its place: no HT
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 from rich import box
@@ -65,10 +65,8 @@ def _terminal_lines(part: Part) -> Iterator[RenderableType]:
             yield from (Text(visible(line), no_wrap=True, overflow="ignore") for line in text.splitlines())
         case DisplayTable(title):
             if title:  # a table without one belongs to what is before it
-                yield Text()
-            if part.title_apart:
-                yield spoken(title, "bold")
-            yield _Fitting(replace(part, title="") if part.title_apart else part)
+                yield from (Text(), spoken(title, "bold"))
+            yield _Fitting(part)
 
 
 @dataclass(frozen=True)
@@ -92,14 +90,7 @@ class _Fitting:
 
 
 def _grid(table: DisplayTable, left_out: Sequence[int]) -> Table:
-    grid = Table(
-        title=spoken(table.title, "bold"),
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        show_edge=False,
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
+    grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     kept = [place for place in range(len(table.header)) if place not in left_out]
     for place in kept:
         justify = "right" if table.alignment[place] == "r" else "left"

@@ -24,7 +24,6 @@ from insdvl_replay.show.dive import NO_REFERENCE, changed_settings, dive_documen
 from insdvl_replay.show.document import parts_for
 from insdvl_replay.show.figures import (
     Clock,
-    Source,
     covered_shares,
     error_panel,
     replay_figures,
@@ -289,14 +288,13 @@ def test_time_axis_has_a_unit_that_suits_the_dive() -> None:
 def test_coverage_falls_where_samples_are_missing_or_invalid() -> None:
     time_ns = np.concatenate([np.arange(0, 40), np.arange(60, 101)]) * S
     valid = (time_ns < 80 * S) | (time_ns >= 90 * S)
-    shares = covered_shares(Source("DVL", time_ns, valid), 0, 100 * S, 10)
+    shares = covered_shares(time_ns, valid, 0, 100 * S, 10)
     np.testing.assert_allclose(shares, [1, 1, 1, 1, 0.15, 0, 1, 1, 0, 1], atol=1e-12)
 
 
 @pytest.mark.parametrize("samples", [0, 1])
 def test_coverage_of_a_silent_sensor_is_nothing(samples: int) -> None:
-    silent = Source("DVL", np.arange(samples), np.ones(samples, dtype=bool))
-    assert covered_shares(silent, 0, S, 4).tolist() == [0.0] * 4
+    assert covered_shares(np.arange(samples), np.ones(samples, dtype=bool), 0, S, 4).tolist() == [0.0] * 4
 
 
 def test_any_text_is_text() -> None:
