@@ -256,7 +256,7 @@ _CANDIDATE: Final[tuple[ShownColumn, ...]] = (
     ("predicted", "r", "mean_improvement_pct:percent"),
     ("prediction", "l", lambda row: prediction_word(row.mean_improvement_pct, row.prediction) or MISSING),
     ("baseline\nposition [m]", "r", "position_h_baseline_rmse_m"),
-    ("candidate\nposition [m]", "r", "position_h_rmse_m"),
+    ("candidate\nposition [m]", "r", lambda row: number(row.position_h_rmse_m if row.verdict else None)),
 )
 _ALONE: Final[tuple[ShownColumn, ...]] = tuple(
     (f"{name}\n[{unit}]" if unit else name, "r", f"{column}:value") for column, (name, unit) in VALUES.items()

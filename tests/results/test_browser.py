@@ -217,5 +217,6 @@ def test_a_dive_prints_on_white_on_eight_pages_with_what_it_was_set_to(
     assert browser.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert "filters.fast.aiding" in browser.value('document.querySelector("main > pre").innerText')
     printed = b64decode(browser.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+    assert len(printed) < 2_000_000, "dashes outside of the panels are not in it"
     assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", printed)) <= 8
     browser.call("Emulation.setEmulatedMedia", media="", features=[dark])
