@@ -1,5 +1,6 @@
 """Tables are dives: the same columns from every format, and no damage that goes unnoticed."""
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from made_tables import FORMATS, HARMS, SECTIONS, recorded, settings, tables_of,
 from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.replay import replay_log
@@ -187,3 +189,52 @@ def test_hundreds_of_damaged_tables_are_refused_or_noted(log: tuple[Path, Dive],
     found = [harmed(log[1], tmp_path / "dive", seed) for seed in range(300)]
     assert [outcome for outcome in found if outcome.startswith("silent")] == []
     assert {"refused", "noted"} <= set(found)
+
+
+def mutant(content: bytes, rng: np.random.Generator) -> bytes:
+    """Change bytes, cut, remove, insert or clear some."""
+    data, place = bytearray(content), int(rng.integers(len(content)))
+    match int(rng.integers(5)):
+        case 0:
+            for at in rng.integers(len(data), size=int(rng.integers(1, 20))).tolist():
+                data[at] = int(rng.integers(256))
+        case 1:
+            del data[max(place, 1) :]
+        case 2:
+            del data[place : place + int(rng.integers(1, 300))]
+        case 3:
+            data[place:place] = rng.bytes(int(rng.integers(1, 100)))
+        case _:
+            data[place : place + 500] = bytes(len(data[place : place + 500]))
+    return bytes(data) or b" "
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("ending", FORMATS)
+def test_changed_bytes_are_no_internal_error(log: tuple[Path, Dive], tmp_path: Path, ending: str) -> None:
+    if ending in NEEDS:
+        pytest.importorskip(NEEDS[ending])
+    path, topics = write_tables(tmp_path / "dive", tables_of(log[1]), ending)
+    files = sorted((tmp_path / "dive").iterdir())
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        file = files[int(rng.integers(len(files)))]
+        content = file.read_bytes()
+        file.write_bytes(mutant(content, rng))
+        with suppress(LogError, ConfigError):
+            read_dive(path, settings(topics))
+        with suppress(LogError):
+            inspect_log(path, Config())
+        file.write_bytes(content)
+
+
+def test_a_quote_in_a_number_is_no_number(tmp_path: Path) -> None:
+    folder = write_pair(tmp_path / "dive")
+    head, *rows = (folder / "dvl.csv").read_text().splitlines()
+    quoted = [",".join(f'"{cell}"' for cell in row.split(",")) for row in rows]
+    rows[3], rows[7] = rows[3].replace(".", '."', 1), rows[7].replace(".", '."', 1)
+    for lines, cells in ((quoted, 0), (rows, 2)):
+        (folder / "dvl.csv").write_text("\n".join([head, *lines, ""]))
+        dive = read_dive(folder, Config(imu=IMU, dvl=DVL))
+        assert len(dive.dvl.time_ns) == 50 - cells
+        assert sum(note.count for note in dive.notes if note.code == "table_cells") == cells

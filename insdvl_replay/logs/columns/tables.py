@@ -396,7 +396,7 @@ def measure_clock(
     behind_ns = log_time_ns - time_ns
     first_ns = int(behind_ns[0])
     behind_ns -= first_ns
-    low, median, high = (float(np.percentile(behind_ns, percent)) for percent in (5, 50, 95))  # one by one, faster
+    low, median, high = np.percentile(behind_ns, (5, 50, 95)).tolist()
     steps_ns = np.subtract(time_ns[1:], time_ns[:-1], out=behind_ns[1:])  # in place: such arrays are large
     back_steps, repeats = int(np.count_nonzero(steps_ns < 0)), int(np.count_nonzero(steps_ns == 0))
     changes = len(distinct(time_ns)) - 1 if back_steps else steps_ns.size - repeats

@@ -6,6 +6,7 @@ table has no recorder's clock, so its own time column is the log time. Nothing t
 what is not a number is missing, rows that do not fit are left out, and each loss is a note.
 """
 
+import csv
 import re
 import zipfile
 from collections import Counter
@@ -40,7 +41,8 @@ _DECIMAL_COMMA: Final = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 _FEW: Final = 0.05  # share of the rows or cells that may be wrong; more of them are another format
 _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
 _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
-_LATEST_NS: Final = 9e18
+_LATEST_NS: Final = 4e18  # differences of times must be whole numbers of 64 bits, too
+_LARGEST: Final = 1e100  # larger numbers are not finite, or their squares are not
 _WIDEST: Final = 64  # numbers in a row of an array that is one quantity
 _ROWS: Final = 1 << 16  # rows of a block
 _SAVE_AGAIN: Final = "save it again; for arrays: numpy.savez(path, time=..., acc=..., gyro=...)"
@@ -85,10 +87,10 @@ class TableFile(LogFile):
                 numbers = [np.arange(len(kept), dtype=np.float64)[:, None]]
                 numbers += [values.reshape(len(kept), -1).astype(np.float64) for values in table.columns.values()]
                 rows = np.concatenate(numbers, axis=1)
-                missing = ~np.isfinite(rows)
+                missing = ~(np.abs(rows) < _LARGEST)
                 rows[missing] = np.nan
                 if some := int(np.count_nonzero(missing[:, ~missing.all(axis=0)])):
-                    clause = counted_clause(some, "cells are empty or not finite and count as missing")
+                    clause = counted_clause(some, "cells are empty or no possible numbers and count as missing")
                     self._note("table_missing", table.topic, clause, some, warn=False)
                 self._rows.append(rows if kept.all() else rows[kept])
                 self._time_ns.append(time_ns[kept])
@@ -199,7 +201,7 @@ class TableFile(LogFile):
         joined = "\n".join(line if fits[i] else (separator or " ") * (width - 1) for i, line in enumerate(lines[head:]))
         frame = pd.read_csv(
             StringIO(joined), sep=separator or r"\s+", header=None, names=range(width), index_col=False,
-            skip_blank_lines=False, skipinitialspace=True, low_memory=False,
+            skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
         )  # fmt: skip
         titles = [title.strip().strip("\"'") for title in titles] or [f"column_{i + 1}" for i in range(width)]
         return self._named(name, {title: frame[i].to_numpy() for i, title in zip(frame, titles, strict=True)})
@@ -224,6 +226,10 @@ class TableFile(LogFile):
     def _numbers(self, topic: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
         """Read cells that are not all numbers; dates become nanoseconds, a column of text has no numbers."""
         series = pd.Series(cells)
+        quoted = series.astype(str).str.fullmatch(r'\s*"[^"]*"\s*')
+        if quoted.any():
+            inside = series[quoted].astype(str).str.strip().str.strip('"')
+            series[quoted] = inside.where(inside != "", None)
         numbers = pd.to_numeric(series, errors="coerce")
         is_text = (series.notna() & numbers.isna()).to_numpy()
         texts = series[is_text].astype(str)
