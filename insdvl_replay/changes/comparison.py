@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace as with_fields
 from pathlib import Path
 from statistics import median
@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, paired_rows, within
 from insdvl_replay.core.errors import ConfigError, Note, counted, listed, require_known
+from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import StoredReport, StoredResult, flattened
 from insdvl_replay.core.tables import LAYOUTS, Number
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
@@ -40,22 +41,17 @@ class Difference(Struct, frozen=True):
     logs: tuple[str, ...]  # the dives it concerns
 
 
-class Tally(Struct, frozen=True):
-    """Number of cells by verdict, and the largest loss and gain, primary columns first."""
-
-    counts: dict[ChangeVerdict, int]
-    worst: Change | None
-    best: Change | None
+Counts = dict[ChangeVerdict, int]  # number of cells by verdict
 
 
 class DiveComparison(Struct, frozen=True):
-    """One dive and its counterpart; without a counterpart there is no folder on that side and no tally."""
+    """One dive and its counterpart; without a counterpart there is no folder on that side, and nothing to count."""
 
     log: str
     old: str | None
     new: str | None
     matched_by: MatchedBy
-    tally: Tally | None
+    counts: Counts | None
 
 
 class Aggregate(Struct, frozen=True):
@@ -84,7 +80,9 @@ class Comparison(Struct, frozen=True):
     new: str
     answers: tuple[Answer, ...]
     tolerance_pct: float | None
-    total: Tally
+    counts: Counts
+    worst: Change | None  # the largest loss and gain, primary columns first
+    best: Change | None
     differences: tuple[Difference, ...]
     dives: tuple[DiveComparison, ...]
     aggregates: tuple[Aggregate, ...]
@@ -95,7 +93,7 @@ class Comparison(Struct, frozen=True):
     @property
     def matched(self) -> list[DiveComparison]:
         """The dives that both sides have."""
-        return [dive for dive in self.dives if dive.tally is not None]
+        return [dive for dive in self.dives if dive.counts is not None]
 
 
 def compare_results(
@@ -136,7 +134,7 @@ def compare_results(
     changes, compared = list[Change](), list[DiveComparison]()
     for (was, is_, how), frame in zip(both, frames, strict=True):
         found = [*changes_of(frame, is_.name, columns, tolerance_pct)]
-        compared.append(DiveComparison(is_.name, str(was.folder), str(is_.folder), how, tally(found)))
+        compared.append(DiveComparison(is_.name, str(was.folder), str(is_.folder), how, _counts(found)))
         changes += found
     for lost, added, how in matching:
         if lost and not added:
@@ -148,7 +146,9 @@ def compare_results(
         new=str(new),
         answers=answers_of(pairs),
         tolerance_pct=tolerance_pct,
-        total=tally(changes),
+        counts=_counts(changes),
+        worst=_largest(changes, 1.0),
+        best=_largest(changes, -1.0),
         differences=_differences([(was, is_) for was, is_, _ in both]),
         dives=tuple(compared),
         aggregates=aggregates(changes),
@@ -336,10 +336,10 @@ def _largest(changes: Iterable[Change], sign: float) -> Change | None:
     return max(found, key=importance, default=None)
 
 
-def tally(changes: Collection[Change]) -> Tally:
-    """Count cells by verdict, with the largest loss and gain."""
+def _counts(changes: Iterable[Change]) -> Counts:
+    """Count cells by verdict."""
     counts = Counter(change.verdict for change in changes)
-    return Tally({word: counts[word] for word in ChangeVerdict}, _largest(changes, 1.0), _largest(changes, -1.0))
+    return {word: counts[word] for word in ChangeVerdict}
 
 
 def aggregates(changes: Iterable[Change]) -> tuple[Aggregate, ...]:
@@ -415,6 +415,11 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str:
 def described(change: Change) -> str:
     """Return the place and the change of a cell in one line."""
     old, new = FORMS["cell"](change.old), FORMS["cell"](change.new)
-    name = " ".join((*dict.fromkeys((change.filter, change.row)), change.column))
-    unit = f" {change.unit}" if change.unit else ""
-    return f"{change.log}, {change.table}: {name} from {old} to {new}{unit} ({change.growth})"
+    return f"{change.log}, {cell_place(change)} from {old} to {new} ({change.growth})"
+
+
+def cell_place(cell: Change | Aggregate) -> str:
+    """Name a cell by its table and column, as options do, such as ``reference_error aided roll: rmse [deg]``."""
+    row = "" if cell.row == cell.filter else f" {label(cell.row)}"
+    unit = f" [{cell.unit}]" if cell.unit else ""
+    return f"{cell.table} {cell.filter}{row}: {cell.column}{unit}"

@@ -7,7 +7,7 @@ from msgspec.structs import astuple
 
 from insdvl_replay.changes.answer import Answer
 from insdvl_replay.changes.cells import Change, change_text
-from insdvl_replay.changes.comparison import Aggregate, Comparison, Difference, described
+from insdvl_replay.changes.comparison import Aggregate, Comparison, Difference, cell_place, described
 from insdvl_replay.core.errors import counted, listed, natural_key
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Result, Sentences, Title
@@ -50,7 +50,7 @@ _OFF_ONE: Final = ("nis", "nees")
 def comparison_result(comparison: Comparison, document: Sequence[Part]) -> Result:
     """Return a comparison as tables and JSON, with its screen."""
     dives = [
-        (*astuple(dive)[:4], *(dive.tally.counts[word] if dive.tally else None for word in ChangeVerdict))
+        (*astuple(dive)[:4], *(dive.counts[word] if dive.counts else None for word in ChangeVerdict))
         for dive in comparison.dives
     ]
     return Result(
@@ -91,7 +91,7 @@ def comparison_document(
     apart = [
         f"{ChangeVerdict.GONE if dive.new is None else ChangeVerdict.NEW}: {dive.log}"
         for dive in comparison.dives
-        if dive.tally is None
+        if dive.counts is None
     ]
     blocks = _changed_verdicts(comparison), _other_differences(comparison, most)
     return [
@@ -106,12 +106,12 @@ def comparison_document(
 
 def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Iterator[str]:
     """Count the values by verdict, and say where the others are."""
-    counts, total = comparison.total.counts, comparison.total
+    counts = comparison.counts
     words = ", ".join(f"{counts[word]} {word}" for word in ChangeVerdict if counts[word] and word != ChangeVerdict.SAME)
     limit = "the last printed digit" if comparison.tolerance_pct is None else f"{comparison.tolerance_pct:g} %"
     same = f"{counts[ChangeVerdict.SAME]} of {sum(counts.values())} values are the same up to {limit}"
     yield f"{words or 'no value changed'}; {same}"
-    for name, change in (("worst", total.worst), ("best", total.best)):
+    for name, change in (("worst", comparison.worst), ("best", comparison.best)):
         if values and change is not None:
             yield f"{name}: {described(change)}"
     if not values:
@@ -276,20 +276,14 @@ def _evidence_of_dive(changes: Iterable[Change], baseline: str) -> Iterator[Disp
         yield table_of("Changed evidence", rows.values(), columns, spare=(2, 3, 4))
 
 
-def _cell_name(cell: Change | Aggregate) -> str:
-    row = "" if cell.row == cell.filter else f" {label(cell.row)}"
-    unit = f" [{cell.unit}]" if cell.unit else ""
-    return f"{cell.table} {cell.filter}{row}: {cell.column}{unit}"
-
-
 def _values(changes: Sequence[Change]) -> DisplayTable:
     footnote = "% is of the magnitude; for NIS, of the ratio to its degrees of freedom"
-    return table_of("Values, old and new", changes, (("value", "l", _cell_name), *_OLD_AND_NEW), footnote)
+    return table_of("Values, old and new", changes, (("value", "l", cell_place), *_OLD_AND_NEW), footnote)
 
 
 def _values_over_dives(cells: Sequence[Aggregate]) -> DisplayTable:
     columns: tuple[ShownColumn, ...] = (
-        ("value", "l", _cell_name),
+        ("value", "l", cell_place),
         *((key, "r", key) for key in ("dives", "better", "worse")),
         ("median\n[%]", "r", "median_change_pct:signed_percent"),
         ("worst\n[%]", "r", "worst_change_pct:signed_percent"),
