@@ -1,5 +1,6 @@
 """The words of an answer: its verdict, the evidence that decided, and whether its prediction is confirmed."""
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -176,6 +177,14 @@ def prediction_word(predicted_pct: Number, prediction: str) -> str:
     if not finite(predicted_pct) >= NOTABLE_PCT:
         return ""
     return Prediction.CONFIRMED if prediction == Prediction.CONFIRMED else Prediction.NOT_CONFIRMED
+
+
+def predicted_change(answer: AnyCandidate) -> tuple[str, str]:
+    """Write the predicted change of sigma, such as ``12.3 % smaller``, and whether it is confirmed."""
+    pct = finite(answer.predicted_pct)
+    if math.isnan(pct):
+        return MISSING, ""
+    return f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", prediction_word(pct, answer.prediction)
 
 
 def _predicted(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, known: bool) -> str:

@@ -27,7 +27,7 @@ from insdvl_replay.show.answers import (
     has_reference,
     interval_text,
     of_filter,
-    prediction_word,
+    predicted_change,
     ratio_text,
     reason_undecided,
     reports_of,
@@ -40,7 +40,9 @@ from insdvl_replay.show.answers import (
 )
 from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, over_starts, track_fit_line
 from insdvl_replay.show.dives import table_alone
-from insdvl_replay.show.document import MISSING, ShownColumn, decimal, percent, significant, table_of
+from insdvl_replay.show.document import MISSING, ShownColumn, decimal, significant, table_of
+
+_NOT_CHECKED: Final = f"below {NOTABLE_PCT:.0f} %, not checked"
 
 
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
@@ -52,19 +54,11 @@ def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
             lines.append(f"{start} on {answer.where}: {answer.reason}")
         else:
             reason = f": {why}" if (why := reason_undecided(answer)) else ""
-            lines.append(f"{start} {evidence_text(answer)} on {answer.where}{reason}; {_predicted(answer)}")
+            text, word = predicted_change(answer)
+            word = word if finite(answer.predicted_pct) < 0.0 else f": {word or _NOT_CHECKED}"
+            predicted = "predicted sigma unknown" if text == MISSING else f"predicted {text} sigma{word}"
+            lines.append(f"{start} {evidence_text(answer)} on {answer.where}{reason}; {predicted}")
     return lines
-
-
-def _predicted(answer: AnyCandidate) -> str:
-    """Write the predicted improvement, and whether it is confirmed, in a few words."""
-    pct = finite(answer.predicted_pct)
-    if pct != pct:
-        return "predicted sigma unknown"
-    if pct < 0.0:
-        return f"predicted {percent(-pct)} larger sigma"
-    confirmed = prediction_word(pct, answer.prediction) or f"below {NOTABLE_PCT:.0f} %, not checked"
-    return f"predicted {percent(pct)} smaller sigma: {confirmed}"
 
 
 # --- The parts that both screens have.
@@ -82,10 +76,8 @@ def _answer_parts(answers: Sequence[AnyCandidate]) -> Iterator[Part]:
         return
     lines: list[str | Callout] = []
     for answer in answers:
-        start, tone = (
-            f"{answer.filter} against {answer.baseline}: {shouted(answer.verdict)}",
-            TONES.get(answer.verdict, ""),
-        )
+        start = f"{answer.filter} against {answer.baseline}: {shouted(answer.verdict)}"
+        tone = TONES.get(answer.verdict, "")
         if answer.verdict == Verdict.NOT_EVALUATED:
             lines += [Callout(start, tone), f"{answer.reason[:1].upper()}{answer.reason[1:]}. Settle this first."]
             continue
@@ -101,11 +93,7 @@ def _answer_table(answers: Sequence[AnyCandidate]) -> DisplayTable:
     """Return many candidates, a row each."""
     rows = []
     for answer in answers:
-        predicted = MISSING, ""
-        if answer.verdict != Verdict.NOT_EVALUATED:
-            confirmed = prediction_word(answer.predicted_pct, answer.prediction)
-            pct = finite(answer.predicted_pct)
-            predicted = (f"{percent(abs(pct))} {'larger' if pct < 0.0 else 'smaller'}", confirmed)
+        predicted = (MISSING, "") if answer.verdict == Verdict.NOT_EVALUATED else predicted_change(answer)
         rows.append((answer.filter, shouted(answer.verdict), *evidence_cells(answer), *predicted, would_decide(answer)))
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
     header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted sigma", "", "")
