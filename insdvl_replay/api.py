@@ -220,17 +220,14 @@ def inspect(
 
 def propose(logs: Paths, config: Config | None = None, *, allow_damaged: bool = False) -> "CommandResult":
     """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
-    from insdvl_replay.inspection.trial_runs import settings_file
+    from insdvl_replay.inspection.automatic import settings_file
 
-    found = settings_file(_paths(logs), (config or Config()).without_code(), allow_damaged=allow_damaged)
-    left = [*((key, "decide") for key in found.decisions), *((key, "missing") for key in found.missing)]
-    blockers = [(failure.message, failure.hint) for failure in found.failures]
-    sentences = [f"to decide: {', '.join(found.decisions) or 'nothing'}", *(f"blocker: {text}" for text, _ in blockers)]
-    title, tables = (
-        "Proposed settings",
-        {"settings": (("key", "status"), left), "blockers": (("text", "hint"), blockers)},
-    )
-    blocks = {name: Block(*table) for name, table in tables.items()}
+    dives = [[path] for path in _paths(logs)]
+    found = settings_file(dives, (config or Config()).without_code(), allow_damaged=allow_damaged)
+    sentences = [f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}" for note in found.notes]
+    sentences += [] if found.failure is None else [f"blocker: {found.failure.message}; hint: {found.failure.hint}"]
+    title = "Proposed settings"
+    blocks = {"missing": Block(("key",), [(key,) for key in found.missing])}
     document: list[Part] = [Title(title), *map(Callout, sentences), Code(found.text, "toml")]
     return CommandResult(Content("proposal", title, sentences, blocks, document=document, settings=found.text))
 

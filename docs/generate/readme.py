@@ -41,23 +41,18 @@ def archive() -> str:
 
 
 def foreign() -> str:
-    """What three commands make of a bag of a vehicle of others."""
-    proposed = "inspect", "rexrov2.bag", "--propose", "vehicle.toml", "--set", "initial.latitude_deg=38"
-    calibrated = "calibrate", "rexrov2.bag", "-c", "vehicle.toml", "-o", "calibrated.toml"
-    replayed = "run", "rexrov2.bag", "-c", "vehicle.toml", "-c", "calibrated.toml"
+    """What one command makes of a bag of a vehicle of others."""
+    command = "run", "rexrov2.bag", "--set", "initial.latitude_deg=38"
     with TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copy(BAG, folder / "rexrov2.bag")
-        said = [printed(folder, *command) for command in (proposed, calibrated, replayed)]
-        arm = next(
-            line for line in (folder / "calibrated.toml").read_text("utf-8").splitlines() if "lever_arm_m" in line
-        )
-    lines = said[2].partition("\nevidence")[0].splitlines()
+        lines = printed(folder, *command).partition("\nevidence")[0].splitlines()
+        settings = (folder / "replay" / "rexrov2" / "vehicle.toml").read_text("utf-8").splitlines()
+        arm = next(line for line in settings if "lever_arm_m" in line).partition("  #")[0]
     verdict = next(number for number, line in enumerate(lines) if line.startswith("aided against"))
-    calls = [f"$ insdvl-replay {' '.join(command)}" for command in (proposed, calibrated, replayed)]
-    return "\n".join(
-        ["```console", *calls[:2], "$ grep lever_arm calibrated.toml", arm, calls[2], lines[0], *lines[verdict:], "```"]
-    )
+    call = f"$ insdvl-replay {' '.join(command)}"
+    grep = "$ grep -o 'lever_arm_m[^#]*' replay/rexrov2/vehicle.toml"
+    return "\n".join(["```console", call, lines[0], *lines[verdict:], grep, arm, "```"])
 
 
 def paper() -> str:

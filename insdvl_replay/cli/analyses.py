@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
+from insdvl_replay.cli.messages import log_failure, log_findings, log_info, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
@@ -116,19 +116,18 @@ def _propose(
     """Write settings, and print on stderr what the user must decide."""
     from insdvl_replay.cli.screen import compiling, progress
     from insdvl_replay.core.config_file import load_config
-    from insdvl_replay.inspection.trial_runs import settings_file
+    from insdvl_replay.inspection.automatic import settings_file
     from insdvl_replay.results.folder import result_file
 
-    with progress("trying settings", remark=compiling()):
+    with progress("finding the settings", remark=compiling()):
         proposed = settings_file(dives, config, allow_damaged=allow_damaged)
     with result_file(target, force=force) as path:
         path.write_text(proposed.text, "utf-8")
         load_config(file=path)  # checks that it can be read back
     log_to_stderr(f"wrote {target}")
-    for failure in proposed.failures:
-        log_to_stderr(f"blocker: {failure.message}; hint: {failure.hint}")
-    if proposed.decisions:
-        log_to_stderr(f"to decide in {target}: {', '.join(proposed.decisions)}")
+    log_findings(proposed.notes, target)
+    if proposed.failure is not None:
+        log_to_stderr(f"blocker: {proposed.failure.message}; hint: {proposed.failure.hint}")
     if proposed.missing:
         log_to_stderr(f"without a value in {target}: {' '.join(f'--set {key}=...' for key in proposed.missing)}")
 

@@ -2,10 +2,12 @@
 
 import os
 import re
+import shlex
 import sys
 import traceback
 from collections.abc import Iterable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 import typer
@@ -66,6 +68,21 @@ def log_failure(error: Exception, verbosity: int) -> int:
     code, message, hint = _explained(error)
     log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code
+
+
+def is_finding(note: Note) -> bool:
+    """Return whether a note reports settings that were found."""
+    return note.code.startswith("found_")
+
+
+def log_findings(notes: Iterable[Note], file: Path) -> bool:
+    """Print what was found or assumed of a vehicle without settings, warnings first; return whether there is any."""
+    findings = [note for note in notes if is_finding(note)]
+    for note in findings:
+        log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
+    if findings:
+        log_to_stderr(f"to repeat it: -c {shlex.quote(str(file))}")
+    return bool(findings)
 
 
 def _hinted(hint: str) -> str:

@@ -1,7 +1,6 @@
 """``insdvl-replay run``. Slow imports wait until there is work to do."""
 
 import os
-import shlex
 import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
@@ -18,7 +17,6 @@ from insdvl_replay.core.errors import ConfigError, LogError
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.core.config import Config
-    from insdvl_replay.core.errors import Note
     from insdvl_replay.core.result import Report
     from insdvl_replay.show.answers import Failure
 
@@ -92,9 +90,9 @@ def run(
     A log that cannot be used does not stop the others. A dive is replayed only if its log, the settings or the
     versions have changed since its last result.
 
-    Without -c, --preset and --set, a log that cannot be replayed as it is gets settings: topics, units, axes, noise and
-    geometry are tried and calibrated. stderr says what was found or assumed. vehicle.toml in the result holds these
-    settings for -c.
+    Without -c, a log that cannot be replayed as it is gets settings: topics, units, axes, noise and geometry are tried
+    and calibrated; what --set or --preset gives stays. stderr says what was found or assumed. vehicle.toml in the
+    result holds these settings for -c.
 
     --against KEY=VALUE replays each dive twice, without and with the setting, into the folders before and after. It
     prints for each filter whether the setting helped, as `compare` does.
@@ -113,12 +111,20 @@ def run(
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_both_sides, plan_jobs
-    from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
+    from insdvl_replay.cli.messages import (
+        is_finding,
+        log_failure,
+        log_findings,
+        log_info,
+        log_notes,
+        log_to_stderr,
+        write_stdout,
+    )
     from insdvl_replay.cli.screen import written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
-    from insdvl_replay.results.folder import PAGE, result_file
+    from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, result_file
     from insdvl_replay.show.answers import Failure
     from insdvl_replay.show.dive import TOGETHER, dive_document, replay_result, require_tables, tables_named
     from insdvl_replay.show.dives import INDEX, OVERVIEWS, overview_parts
@@ -131,8 +137,7 @@ def run(
     require_tables(tables)
     given = [*settings, *opt.span_settings(start, end, starts)]
     load = partial(load_config, preset, config, given, allow_code=allow_code)
-    says_more = not all(setting.startswith(("span.", "evaluation.")) for setting in settings)
-    is_free = auto and not (control or preset or config or scheduler or against or says_more)
+    is_free = auto and not (control or config or scheduler or against)
     options = ReplayOptions(
         load(report=log_info),
         allow_damaged=allow_damaged,
@@ -179,17 +184,16 @@ def run(
             continue
         reports.append(report)
         unchanged += outcome.unchanged
-        has_findings = log_findings(report.notes, target, shows=not (quiet or has_findings)) or has_findings
+        if not (quiet or has_findings):
+            has_findings = log_findings(report.notes, target / VEHICLE_FILE)
         if talks or (alone and not quiet):
             log_notes([note for note in report.notes if not is_finding(note)], verbose=verbose > 0)
             if verbose and report.notes and not explained:
                 log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
                 explained = True
-        if outcome.unchanged and alone and not (quiet or talks):
-            log_to_stderr(f"unchanged {target}")
         if prints_each:
             write_stdout(shown(report, target))
-        if talks:
+        if talks or (outcome.unchanged and alone and not quiet):
             log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
         codes[name] = _strict_code(name, report, verbose) if strict else 0
     if brief:
@@ -299,6 +303,7 @@ def outcomes_without_settings(
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
+    from insdvl_replay.cli.messages import is_finding
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import UserError
     from insdvl_replay.inspection.automatic import find_settings, stored_settings
@@ -313,15 +318,21 @@ def outcomes_without_settings(
         target = str(outcome.job.target)
         return isinstance(outcome.result, UserError) and not str(outcome.result).startswith(target)
 
-    def is_known(dive: "ReplayJob", config: "Config | None") -> bool:
-        return config is not None and bool(known_reports(with_options([dive], config=config), force=True))
+    def stored_report(dive: "ReplayJob", config: "Config | None") -> "Report | None":
+        if config is None:
+            return None
+        plain = with_options([dive], config=config, tracks=(), history_format="")
+        return known_reports(plain, force=True).get(dive.target)
 
     stored = [stored_settings(dive.target, dive.options.config) for dive in dives]
-    if not rerun and all(config == stored[0] for config in stored) and is_known(dives[0], stored[0]):
-        yield from outcomes_as_planned(with_options(dives, config=stored[0]), jobs, None, force=force, rerun=rerun)
+    reports = [stored_report(dive, config) for dive, config in zip(dives, stored, strict=True)]
+    if not rerun and reports[0] is not None and all(config == stored[0] for config in stored):
+        found_before = tuple(filter(is_finding, reports[0].notes))
+        same = with_options(dives, config=stored[0], found=found_before)
+        yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
         return
     # Settings that were found for other dives than these are found again, and replace those.
-    force = force or all(not dive.target.exists() or is_known(dive, at) for dive, at in zip(dives, stored, strict=True))
+    force = force or all(not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True))
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
     if not needs_settings(first):
         yield first
@@ -349,23 +360,6 @@ def outcomes_without_settings(
         return
     found_for = with_options(dives, config=found.config, found=found.notes, vehicle=found.text)
     yield from outcomes_as_planned(found_for, jobs, None, force=force, rerun=rerun)
-
-
-def is_finding(note: "Note") -> bool:
-    """Return whether a note reports settings that were found."""
-    return note.code.startswith("found_")
-
-
-def log_findings(notes: "Sequence[Note]", target: Path, *, shows: bool) -> bool:
-    """Print what was found or assumed of a vehicle without settings, warnings first; return whether there is any."""
-    from insdvl_replay.cli.messages import log_to_stderr
-
-    findings = [note for note in notes if is_finding(note)]
-    for note in findings if shows else ():
-        log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
-    if findings and shows:
-        log_to_stderr(f"to repeat it: -c {shlex.quote(str(target / 'vehicle.toml'))}")
-    return bool(findings)
 
 
 def outcomes(

@@ -577,13 +577,20 @@ def _filter_checks(filter_: Filter, held_out: Sequence[str], key: str) -> list[t
 # --- Writing
 
 
-def render_toml(config: Config) -> str:
-    """Write the settings as commented TOML; reading it back gives the same. Keys that are left out are comments."""
-    return "\n".join(_toml_lines(config, "")).strip() + "\n"
+_AS_BY_DEFAULT: Final = msgspec.structs.asdict(Config())
 
 
-def _toml_lines(section: Struct, path: str) -> Iterator[str]:
+def render_toml(config: Config, *, changed_only: bool = False) -> str:
+    """Write the settings as commented TOML; reading it back gives the same. Keys that are left out are comments.
+
+    Of filters and topics, all are written if one is not as by default.
+    """
+    return "\n".join(_toml_lines(config, "", changed_only=changed_only)).strip() + "\n"
+
+
+def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[str]:
     hints = get_type_hints(type(section), include_extras=True)
+    default = {field.name: field.default for field in msgspec.structs.fields(section)} if path else _AS_BY_DEFAULT
     tables: list[tuple[str, Struct]] = []
     names = section.__struct_fields__
     if isinstance(section, Filter):
@@ -593,6 +600,8 @@ def _toml_lines(section: Struct, path: str) -> Iterator[str]:
         names = next((keys for keys in kinds if getattr(section, keys[0]) is not None), others)
     for name in names:
         value = getattr(section, name)
+        if changed_only and value == default[name]:
+            continue
         if isinstance(value, Struct):
             tables.append((f"{path}{name}", value))
         elif isinstance(value, dict):
@@ -602,7 +611,7 @@ def _toml_lines(section: Struct, path: str) -> Iterator[str]:
             yield f"{text:<40}  # {hints[name].__metadata__[-1].description}"
     for table_path, table in tables:
         yield f"\n[{table_path}]"
-        yield from _toml_lines(table, f"{table_path}.")
+        yield from _toml_lines(table, f"{table_path}.", changed_only=changed_only)
 
 
 def toml_value(value: object) -> str:

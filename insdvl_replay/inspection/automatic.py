@@ -17,17 +17,19 @@ import numpy as np
 from insdvl_replay.calibration.answer import answer_of
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import calibrate_dives
-from insdvl_replay.calibration.innovations import ALL_GROUPS, LABELS, NOISE, ReadDive, with_dvl
+from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
+from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import imu_remarks
-from insdvl_replay.core.config import Config, Imu, Initial
-from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.config import Config, Dvl, Imu, Initial, Noise
+from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, ImuColumns, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, listed
+from insdvl_replay.core.result import flattened
 from insdvl_replay.core.runtime import report_stage, track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.notes import beyond_the_sensor, sensor_class
+from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
@@ -38,14 +40,6 @@ from insdvl_replay.inspection.proposal import (
     propose_settings,
     settings_toml,
     with_settings,
-)
-from insdvl_replay.inspection.trial_runs import (
-    GRADES,
-    UNKNOWN_LATITUDE_DEG,
-    changed_keys,
-    filter_settings,
-    imu_class,
-    preset_config,
 )
 from insdvl_replay.inspection.trials import (
     CLEARLY,
@@ -69,13 +63,19 @@ from insdvl_replay.preparation.run import FIT, LEAST_NIS, MOST_NIS, baseline_fit
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 MOST_DIVES: Final = 5  # dives from which the settings are found
+UNKNOWN_LATITUDE_DEG: Final = 45.0
+GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
+# What a calibration finds, by the settings that it replaces.
+GROUPS: Final = {"arm": "lever_arm_m", "mounting": "mounting_rpy_deg", "delay": "latency_s", "scale": "scale"}
 FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
 SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
 LARGEST_APART: Final = 0.05  # share by which their scales may differ
 MOST_ROUNDS: Final = 4  # in which it is changed
 WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
 SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
+SAME_SPEED: Final = 1.5  # factor within which median speeds of DVL and reference agree
 SPINNING_RADPS: Final = 1.0
+_NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
 Paths = Sequence[Path]
 
 
@@ -89,18 +89,12 @@ class FoundSettings:
     @property
     def text(self) -> str:
         """Return the settings as a file for ``-c``, which holds what differs from the defaults."""
-        default = Config()
         comments = [line for note in self.notes for line in comment_lines(note.text)]
-        settings: list[Setting] = []
-        for section, now in msgspec.structs.asdict(self.config).items():
-            given = changed_keys(now, getattr(default, section)) if isinstance(now, msgspec.Struct) else {}
-            settings += [Setting(f"{section}.{name}", value) for name, value in given.items()]
-        settings += filter_settings(self.config.filters) if self.config.filters != default.filters else []
-        return "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
+        return "".join(f"{line}\n" for line in comments) + f"\n{render_toml(self.config, changed_only=True)}"
 
 
-def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool = False) -> FoundSettings:
-    """Find settings for dives of one vehicle; each start from settings that are as given.
+def find_settings(dives: Sequence[Paths], given: Config, *, allow_damaged: bool = False) -> FoundSettings:
+    """Find settings for dives of one vehicle, except for those that are given, which are as they are not by default.
 
     Raises
     ------
@@ -110,8 +104,9 @@ def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool
     report_stage("finding the settings")
     dives = dives[:MOST_DIVES]
     notes: list[Note] = []
-    readings = _read(dives[0], config, allow_damaged=allow_damaged)
-    config = _with_latitude(_with_roles(readings, config, notes), readings.reference, notes)
+    readings = _read(dives[0], given, allow_damaged=allow_damaged)
+    config = _as_given(_with_roles(readings, given, notes), given)
+    config = _with_latitude(config, readings.reference, notes)
     del readings
     report_stage("reading the log")
     read = [read_checked_dive(dives[0], config, allow_damaged=allow_damaged)]
@@ -119,19 +114,69 @@ def find_settings(dives: Sequence[Paths], config: Config, *, allow_damaged: bool
         with suppress(UserError):  # its own replay reports it
             read.append(read_checked_dive(paths, config, allow_damaged=allow_damaged))
     config = _with_start(read[0], config)
-    preset, settings = imu_class(read[0].imu, config.initial)
-    config = with_settings(preset_config(preset, config), settings)
+    preset = imu_class(read[0].imu)
+    config = _as_given(_of_class(preset, config), given)
     read_with_s = config.dvl.latency_s
     at_imu = [with_reference_at_imu(dive, config) for dive in read]
-    config = _calibrated(at_imu, config, notes)
-    config, preset = _with_fitted_class(at_imu, config, preset)
+    config = _calibrated(at_imu, config, given, notes)
+    config, preset = _with_fitted_class(at_imu, config, given, preset)
     read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, notes)
-    config = _levelled(read[0], config, started, preset, notes)
+    config = _levelled(read[0], config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
         notes.append(_note("found_dives", f"settings of one vehicle, found from {len(read)} dives together: {names}"))
+    if keys := _given_keys(given):
+        notes.append(_note("found_given", f"as given: {listed(keys)}"))
     return FoundSettings(config, tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)))
+
+
+@dataclass(frozen=True)
+class SettingsFile:
+    """Settings as text that ``-c`` reads, and what is open."""
+
+    text: str
+    notes: tuple[Note, ...]  # what was found or assumed
+    missing: tuple[str, ...] = ()  # keys without a value, which only a person can know
+    failure: UserError | None = None  # why no settings could be tried
+
+
+def settings_file(dives: Sequence[Paths], given: Config, *, allow_damaged: bool = False) -> SettingsFile:
+    """Find settings for the dives of a vehicle; else propose what names, types and sizes show of the first.
+
+    Raises
+    ------
+    LogError
+        The first cannot be read at all.
+    """
+    try:
+        found = find_settings(dives, given, allow_damaged=allow_damaged)
+        return SettingsFile(found.text, found.notes)
+    except UserError as failure:
+        proposal = propose_settings(dives[0], given, allow_damaged=allow_damaged)
+        keys = (key.split(".") for key in _given_keys(given) if key.count(".") == 1)
+        settings = [Setting(f"{section}.{key}", getattr(getattr(given, section), key)) for section, key in keys]
+        settings += proposal.settings
+        comments = comment_lines(f"blocker: {failure.message}; {failure.hint}")
+        text = "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
+        missing = [setting.key for setting in settings if setting.value is None and setting.key not in _NOT_NEEDED]
+        return SettingsFile(text, proposal.notes, tuple(dict.fromkeys(missing)), failure)
+
+
+def _given_keys(given: Config) -> list[str]:
+    """Name what is not as it is by default."""
+    default = dict(flattened(msgspec.to_builtins(Config())))
+    return [key for key, value in flattened(msgspec.to_builtins(given)) if value != default.get(key)]
+
+
+def _as_given(found: Config, given: Config) -> Config:
+    """Return settings with those that are given."""
+    default = Config()
+    for section in ("imu", "dvl", "reference", "initial", "noise"):
+        now, before = getattr(given, section), getattr(default, section)
+        values = {key: getattr(now, key) for key in now.__struct_fields__ if getattr(now, key) != getattr(before, key)}
+        found = _set(found, section, **{key: value for key, value in values.items() if value is not None})
+    return found if given.filters == default.filters else msgspec.structs.replace(found, filters=given.filters)
 
 
 def _later(dive: Dive, latency_s: float) -> Dive:
@@ -149,8 +194,12 @@ def _set(config: Config, section: str, **values: Any) -> Config:
 
 
 def stored_settings(folder: Path, given: Config) -> Config | None:
-    """Return the settings that an earlier run found for the result in a folder, with the same span and evaluation."""
-    if not (folder / VEHICLE_FILE).is_file():
+    """Return the settings that an earlier run found for the result in a folder, with the same span and evaluation.
+
+    Those that were found beside given ones are found again.
+    """
+    asked = msgspec.structs.replace(Config(), span=given.span, evaluation=given.evaluation)
+    if given != asked or not (folder / VEHICLE_FILE).is_file():
         return None
     try:
         found = load_config(file=folder / VEHICLE_FILE)
@@ -183,15 +232,15 @@ class _Readings:
     reference: ReferenceColumns | None
 
 
-def _read(paths: Paths, config: Config, *, allow_damaged: bool) -> _Readings:
+def _read(paths: Paths, given: Config, *, allow_damaged: bool) -> _Readings:
     """Read all topics that could be the IMU or the DVL, and the proposed reference; LogError where there is none."""
-    proposal = propose_settings(paths, config, allow_damaged=allow_damaged)
-    draft = with_settings(config, proposal.settings)
+    proposal = propose_settings(paths, given, allow_damaged=allow_damaged)
+    draft = with_settings(given, proposal.settings)
     log = open_recording(paths, allow_damaged=allow_damaged)
     place = str(log.path)
     with log.watched():
         proposed = {finding.role: finding for finding in find_roles(place, log.channels, draft)}
-        by_type = {finding.role: finding for finding in find_roles(place, log.channels, config)}
+        by_type = {finding.role: finding for finding in find_roles(place, log.channels, given)}
         for role in ("dvl", "imu"):
             if (error := proposed[role].error) is not None:
                 raise error
@@ -199,25 +248,38 @@ def _read(paths: Paths, config: Config, *, allow_damaged: bool) -> _Readings:
         imus = list(_imu_topics(log, by_type["imu"].candidates or proposed["imu"].sources, draft, refused))
         if not imus:
             raise refused[0] if refused else LogError("has no readings of an IMU", "", place)
-        pings: dict[str, DvlColumns] = {}
-        for source in by_type["dvl"].candidates or proposed["dvl"].sources:
-            columns = RoleColumns(place, draft)
-            columns.decode("dvl", read_tables(log, [source]))
-            speed_mps = median_speed_mps(columns.dvl)
-            units = fitting_units(speed_mps, VELOCITY_UNITS, *SPEEDS_MPS)
-            if speed_mps > FASTEST_MPS and units and draft.dvl.velocity_unit is None:
-                draft = _set(draft, "dvl", velocity_unit=units[0])
-                columns = RoleColumns(place, draft)
-                columns.decode("dvl", read_tables(log, [source]))
-            pings[source.topic] = columns.dvl
         columns = RoleColumns(place, draft)
         if proposed["reference"].sources:
             with suppress(UserError):
                 columns.decode("reference", read_tables(log, proposed["reference"].sources))
+        reference = columns.reference
+        pings: dict[str, DvlColumns] = {}
+        for source in by_type["dvl"].candidates or proposed["dvl"].sources:
+            (table,) = read_tables(log, [source])
+            columns = RoleColumns(place, draft)
+            columns.decode("dvl", [table])
+            unit = _velocity_unit(median_speed_mps(columns.dvl), reference, draft)
+            if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
+                draft = _set(draft, "dvl", velocity_unit=unit)
+                columns = RoleColumns(place, draft)
+                columns.decode("dvl", [table])
+            pings[source.topic] = columns.dvl
     if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
         text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
         raise LogError(text, "use a dive with turns and changes of speed, or give the settings with -c", place)
-    return _Readings(place, draft, imus, pings, columns.reference)
+    return _Readings(place, draft, imus, pings, reference)
+
+
+def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
+    """Return the unit in which a median speed, read as in the draft, is that of the reference, else of a vehicle."""
+    read_in = draft.dvl.velocity_unit or "m/s"
+    size = speed_mps / VELOCITY_UNITS[read_in]
+    speeds_mps = np.zeros(0) if reference is None else np.linalg.norm(reference.velocity_n, axis=1)
+    known_mps = float(np.median(speeds_mps[np.isfinite(speeds_mps)])) if np.isfinite(speeds_mps).any() else 0.0
+    fitting = fitting_units(size, VELOCITY_UNITS, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
+    if not fitting and speed_mps > FASTEST_MPS:
+        fitting = fitting_units(size, VELOCITY_UNITS, *SPEEDS_MPS)
+    return fitting[0] if fitting else read_in
 
 
 def _with_roles(read: _Readings, config: Config, notes: list[Note]) -> Config:
@@ -264,13 +326,21 @@ def _as_configured(imu: _ImuTopic, best: Hypothesis, given: Imu, *, is_alone: bo
         values = {"axes": given.axes, "specific_force_axes": given.specific_force_axes}
     elif best.axes == best.force_axes:
         values["specific_force_axes"] = None
-    if best.rate_scale == DEG_PER_S:
-        values["angular_rate_unit"] = "deg/s"
-    elif best.rate_scale != 1.0:
-        values["angular_rate_scale"] = float(f"{settings.angular_rate_scale * best.rate_scale:.4g}")
+    unit, scale = _rate_unit(best)
+    if unit:
+        values["angular_rate_unit"] = unit
+    if scale != 1.0:
+        values["angular_rate_scale"] = float(f"{settings.angular_rate_scale * scale:.4g}")
     if is_alone and given.topic is None and settings.specific_force is None:
         values["topic"] = None
     return msgspec.structs.replace(settings, **values)
+
+
+def _rate_unit(best: Hypothesis) -> tuple[str, float]:
+    """Return deg/s where the rates are nearer to these than to rad/s, and the scale in this unit."""
+    if best.rate_scale > np.sqrt(DEG_PER_S):
+        return "deg/s", best.rate_scale / DEG_PER_S
+    return "", best.rate_scale
 
 
 def _imu_topics(
@@ -336,10 +406,11 @@ def _role_notes(
         warn = min(others.values()) * CLEARLY < 1.0
     if (best.axes, best.force_axes) != (imu.as_read.axes, imu.as_read.force_axes):
         parts.append(f"axes {best.axes}" + (f", of forces {best.force_axes}" if best.force_axes != best.axes else ""))
-    settings, scale = imu.settings, imu.settings.angular_rate_scale * best.rate_scale
-    if best.rate_scale == DEG_PER_S or settings.angular_rate_unit == "deg/s":
+    settings, (unit, scale) = imu.settings, _rate_unit(best)
+    scale *= settings.angular_rate_scale
+    if unit or settings.angular_rate_unit == "deg/s":
         parts.append("rates in deg/s")
-    elif scale != 1.0:
+    if scale != 1.0:
         parts.append(f"gyros read {scale:.3g} times the true rate")
         warn = True
     if settings.specific_force_unit is not None:
@@ -363,6 +434,26 @@ def _role_notes(
 
 def _rpy(rpy_deg: Sequence[float]) -> str:
     return f"[{', '.join(f'{angle:.4g}' for angle in rpy_deg)}]"
+
+
+# --- The class of the IMU.
+
+
+def imu_class(imu: ImuColumns) -> str:
+    """Return the preset of the class of sensors that the readings of an IMU may come from, by their scatter."""
+    names = []
+    for key, field in INERTIAL.items():
+        scatter = readings_scatter(getattr(imu, field), imu.usual_step_s)
+        names.append((scatter > 0.0 and sensor_class(key, scatter)) or GRADES[-1])
+    return max(names, key=GRADES.index)
+
+
+def _of_class(preset: str, config: Config) -> Config:
+    """Set the noise, the biases and the filters of a preset."""
+    found = load_config(preset)
+    config = msgspec.structs.replace(config, noise=found.noise, filters=found.filters)
+    biases = {key: getattr(found.initial, key) for key in ("accel_bias_sd_mg", "gyro_bias_sd_degph")}
+    return _set(config, "initial", **biases)
 
 
 # --- The start.
@@ -420,23 +511,30 @@ def _with_heading(dives: Sequence[Dive], config: Config, notes: list[Note]) -> t
 # --- Geometry and noise.
 
 
-def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Config:
-    """Apply the calibration that is better on the held-out part."""
+def _calibrated(dives: Sequence[Dive], config: Config, given: Config, notes: list[Note]) -> Config:
+    """Apply the calibration that is better on the held-out part; what is given is not calibrated."""
     read = [ReadDive(dive, config) for dive in dives]
+    groups = [group for group, key in GROUPS.items() if getattr(given.dvl, key) == getattr(Dvl(), key)]
+    groups += [NOISE] if given.noise == Noise() else []
+    if not groups:
+        return config
     try:
-        found = calibrate_dives(_parts(read), config, ALL_GROUPS, hold_out=["0.3"], windows_s=("60", "30")).found
+        found = calibrate_dives(_parts(read), config, groups, hold_out=["0.3"], windows_s=("60", "30")).found
     except UserError as error:
         notes.append(_note("found_calibration", f"the geometry of the DVL was not calibrated: {error.what}", warn=True))
         return config
     answer = answer_of(found)
     if not any(row.windows for row in found.held_out):
-        # Nothing shows the drift: the innovations of the rest decide.
+        # Nothing shows the drift: the innovations of the rest decide, of each part of a dive alone by the other.
+        if len(read) == 1:
+            other = calibrate_dives(_parts(read)[::-1], config, groups, hold_out=["0.3"], windows_s=("60",)).found
+            found = replace(found, held_out=(*found.held_out, *other.held_out))
         before, after = _mean_nis(found)
         answer = replace(answer, keeps_geometry=bool(found.estimated) and after > before)
     better = answer.applied(found)
     if found.estimated and not answer.keeps_geometry:
         # What was held out has shown that it helps; all together know it best.
-        whole = calibrate_dives(read, config, ALL_GROUPS).found
+        whole = calibrate_dives(read, config, groups).found
         better = answer_of(whole).applied(whole)
     changes = [
         f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}" for row in better.estimated if row.change is not None
@@ -450,11 +548,11 @@ def _calibrated(dives: Sequence[Dive], config: Config, notes: list[Note]) -> Con
     else:
         text = "the DVL's lever arm, mounting and delay cannot be determined: taken as 0"
         notes.append(_note("found_calibration", text, "a dive with turns and changes of speed shows them", warn=True))
-    if answer.keeps_geometry:
+    if answer.keeps_geometry and NOISE in groups:
         # A noise belongs to the geometry with which it was fitted.
         found = calibrate_dives(_parts(read), config, [NOISE], hold_out=["0.3"]).found
         better = answer_of(found).applied(found)
-    return _with_noise(config, better)
+    return _as_given(_with_noise(config, better), given)
 
 
 def _with_noise(config: Config, found: Calibration) -> Config:
@@ -465,29 +563,22 @@ def _with_noise(config: Config, found: Calibration) -> Config:
     return config
 
 
-def _with_fitted_class(dives: Sequence[Dive], config: Config, preset: str) -> tuple[Config, str]:
+def _with_fitted_class(dives: Sequence[Dive], config: Config, given: Config, preset: str) -> tuple[Config, str]:
     """Take the biases of the class that fitted white noise belongs to, where it is better than that of the scatter.
 
     Coarse steps of the readings, and the vehicle's motion, scatter more than a good sensor.
     """
-    usual = preset_config(preset, config).noise
-    fitted = {key: getattr(config.noise, key) for key in ("accel_white_mps_rts", "gyro_white_rad_rts")}
+    usual = load_config(preset).noise
+    fitted = {key: getattr(config.noise, key) for key in INERTIAL}
     if any(value == getattr(usual, key) for key, value in fitted.items()):
         return config, preset
     classes = [sensor_class(key, value) or preset for key, value in fitted.items()]
     better = max(classes, key=GRADES.index)
-    if GRADES.index(better) >= GRADES.index(preset):
+    if GRADES.index(better) >= GRADES.index(preset) or given.noise != Noise():
         return config, preset
-    found = load_config(better)
-    config = msgspec.structs.replace(config, noise=msgspec.structs.replace(found.noise, **fitted))
-    config = _set(
-        config,
-        "initial",
-        accel_bias_sd_mg=found.initial.accel_bias_sd_mg,
-        gyro_bias_sd_degph=found.initial.gyro_bias_sd_degph,
-    )
+    config = _as_given(_set(_of_class(better, config), "noise", **fitted), given)
     again = calibrate_dives([ReadDive(dive, config) for dive in dives], config, [NOISE]).found
-    return _with_noise(config, answer_of(again).applied(again)), better
+    return _as_given(_with_noise(config, answer_of(again).applied(again)), given), better
 
 
 def _parts(read: Sequence[ReadDive]) -> list[ReadDive]:
@@ -515,36 +606,47 @@ def _drift_sentence(found: Calibration) -> str:
 
 def _mean_nis(found: Calibration) -> tuple[float, float]:
     rows = [(row.nis_per_dof_before, row.nis_per_dof_after) for row in found.held_out]
-    before, after = np.mean(np.array(rows, float), axis=0).tolist()
+    before, after = np.exp(np.mean(np.log(np.array(rows, float)), axis=0)).tolist()
     return before, after
 
 
-def _levelled(dive: Dive, config: Config, started: Initial, preset: str, notes: list[Note]) -> Config:
+def _levelled(dive: Dive, config: Config, given: Config, started: Initial, preset: str, notes: list[Note]) -> Config:
     """Scale the noise of the DVL until the innovations are as large as expected, where they are not."""
     key = "velocity_sd_mps" if config.dvl.beam_sd_mps is None else "beam_sd_mps"
 
-    def size_with(sd_mps: float) -> float:
-        tried = msgspec.structs.replace(_set(config, "dvl", **{key: sd_mps}), initial=started)
-        return baseline_fit(dive, tried)[0]
+    def size_with(tried: Config) -> float:
+        return baseline_fit(dive, msgspec.structs.replace(tried, initial=started))[0]
 
-    before = sd_mps = getattr(config.dvl, key)
-    first = size = size_with(sd_mps)
-    for _ in range(MOST_ROUNDS):
-        tried_mps = float(f"{sd_mps * np.sqrt(size):.3g}")
-        if WELL_ABOVE < size < WELL_BELOW or beyond_the_sensor(key, tried_mps):
-            break
-        sd_mps, size = tried_mps, size_with(tried_mps)
+    before = config
+    first = size = size_with(config)
+    # Where the noise of the DVL explains nothing more, that of the accelerometers between two pings is lowered, too.
+    for scaled in ([("dvl", key)], [("dvl", key), ("noise", "accel_white_mps_rts")]):
+        for _ in range(MOST_ROUNDS if _is_free(scaled, given) else 0):
+            if WELL_ABOVE < size < WELL_BELOW or (len(scaled) > 1 and size > 1.0):
+                break
+            tried = config
+            for section, name in scaled:
+                value = float(f"{getattr(getattr(config, section), name) * np.sqrt(size):.3g}")
+                if not beyond_the_sensor(name, value):
+                    tried = _set(tried, section, **{name: value})
+            if tried == config:
+                break
+            config, size = tried, size_with(tried)
     text = f"noise of preset {preset}, the class of this IMU"
-    usual = preset_config(preset, config).noise
-    fitted = [name for name in usual.__struct_fields__ if getattr(usual, name) != getattr(config.noise, name)]
+    fitted = [name for name in INERTIAL if getattr(load_config(preset).noise, name) != getattr(config.noise, name)]
     if fitted:
-        text += (
-            f"; fitted to the innovations: {', '.join(f'{name} {getattr(config.noise, name):.3g}' for name in fitted)}"
-        )
-    if sd_mps != before:
-        text += f"; {key} {before:.3g} -> {sd_mps:.3g}, since NIS/dof was {first:.2g}"
+        values = (f"{name} {getattr(config.noise, name):.3g}" for name in fitted)
+        text += f"; fitted to the innovations: {', '.join(values)}"
+    old_mps, new_mps = getattr(before.dvl, key), getattr(config.dvl, key)
+    if old_mps != new_mps:
+        text += f"; {key} {old_mps:.3g} -> {new_mps:.3g}, since NIS/dof was {first:.2g}"
     is_fitting = LEAST_NIS < size < MOST_NIS
     if not is_fitting:
-        text += f"; NIS/dof is still {size:.2g}, which no noise of a DVL explains"
+        text += f"; NIS/dof is still {size:.2g}, which no noise of these sensors explains"
     notes.append(_note("found_noise", text, warn=not is_fitting))
-    return _set(config, "dvl", **{key: sd_mps})
+    return config
+
+
+def _is_free(keys: Sequence[tuple[str, str]], given: Config) -> bool:
+    default = Config()
+    return all(getattr(getattr(given, at), key) == getattr(getattr(default, at), key) for at, key in keys)

@@ -19,23 +19,19 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.checks.dvl import dvl_by_velocity
-from insdvl_replay.checks.imu import SPIN_RADPS, gyro_by_attitude
-from insdvl_replay.checks.reference import LARGEST_TRACK_ERROR, UNIT_WRONG, GyroScale, gyro_scale, velocity_misfit
+from insdvl_replay.checks.imu import SPIN_RADPS
+from insdvl_replay.checks.reference import velocity_misfit
 from insdvl_replay.core.config import Config, Imu, Initial
 from insdvl_replay.core.config_file import toml_value
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns
+from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed, visible
 from insdvl_replay.core.states import (
-    ANGULAR_RATE_UNITS,
     BY_SENSOR,
-    DEG,
     SENSORS,
     SPECIFIC_FORCE_UNITS,
     VELOCITY_UNITS,
 )
-from insdvl_replay.geometry.frames import MAT_FRD_FLU
 from insdvl_replay.inspection.dry_run import (
     AS_GRAVITY_MPS2,
     DryRun,
@@ -46,7 +42,6 @@ from insdvl_replay.inspection.dry_run import (
     time_paths,
 )
 from insdvl_replay.inspection.inventory import Blocker
-from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import (
     LARGEST_JITTER_S,
@@ -212,15 +207,9 @@ def _recorder_stamps(
 
 # --- The IMU: topic and fields by their names, units and axes by gravity and the reference.
 
-_RATE_COHERENT: Final = 0.95
-_RATE_CLEARLY: Final = 0.02
-_TURNED: Final = 2.0 * DEG
-_TURNED_CLEARLY: Final = 0.01
-_OPPOSITE: Final = "the accelerometers have the opposite sign"
-_FOLLOWS: Final = 0.8
-_AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
 _STATED: Final = "the titles of the columns have this unit"
-_RATE_UNITS_OPEN: Final = "rad/s or deg/s, see the data sheet"
+_AXES_NAMES: Final = {"+x+y+z": "frd", "+x-y-z": "flu"}
+_AXES_OPEN: Final = 'frd, flu (y to port, z up) or a signed permutation such as "+x-z+y"; `run` and --propose find them'
 
 
 def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
@@ -246,98 +235,27 @@ def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
     yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named as an angular rate; check this one")
     if (unit := topic.stated_unit(rates[0].path)) in ANGULAR_RATE_UNITS:
         yield Setting("imu.angular_rate_unit", unit, _STATED)
+    yield Setting("imu.axes", "frd", open=_AXES_OPEN)
     yield from _stamp(log, topic, "imu")
 
 
-def _measured_imu(
-    imu: ImuColumns, settings: Imu, reference: ReferenceColumns | None, found: GyroScale | None
-) -> Iterator[Setting]:
-    """Propose units and axes by what gravity and the reference show."""
-    # The unit of the force, if it is wrong.
+def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
+    """Propose units by the size of gravity, and by how fast a vehicle can turn."""
     read_in = settings.specific_force_unit or "m/s2"
     size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / SPECIFIC_FORCE_UNITS[read_in]
     units = fitting_units(size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
     if units and read_in not in units:
         yield Setting("imu.specific_force_unit", units[0], f"the size is {size:.3g}, which is gravity in this unit")
-    if settings.axes is None and settings.specific_force_axes is None:
-        yield from _imu_axes(imu, reference)
-    # The unit of the rate.
-    key = "imu.angular_rate_unit"
     if settings.angular_rate_unit is not None:
         return
-    scale = 0.0 if found is None else abs(found.scale)
-    units = fitting_units(scale, ANGULAR_RATE_UNITS, 1.0 / UNIT_WRONG, UNIT_WRONG)
     sizes = np.linalg.norm(imu.angular_rate_b, axis=1)
     median, largest = float(np.median(sizes)), float(sizes.max())
     if median > SPIN_RADPS:
-        yield Setting(key, "deg/s", f"the median is {median:.3g}, too fast for a vehicle in rad/s")
-    elif units and found is not None:
-        yield Setting(key, units[0], f"in this unit the rate fits {found.by}, in the other it does not")
+        text = f"the median is {median:.3g}, too fast for a vehicle in rad/s"
+        yield Setting("imu.angular_rate_unit", "deg/s", text)
     else:
-        yield Setting(key, "rad/s", f"the largest value is {largest:.3g}, possible in both units", _RATE_UNITS_OPEN)
-
-
-def _imu_axes(imu: ImuColumns, reference: ReferenceColumns | None) -> Iterator[Setting]:
-    """Propose axes in which a level vehicle feels gravity, and the rate follows the reference's attitude."""
-    force = np.median(imu.specific_force_b, axis=0)
-    if not force.any():
-        yield Setting("imu.axes", None, open="the specific force is zero, so down cannot be determined")
-        return
-    strongest = int(np.argmax(np.abs(force)))
-    felt = f"the specific force is along {'+' if force[strongest] > 0.0 else '-'}{'xyz'[strongest]}"
-    # Accelerometers may show the opposite of a force: sign is -1 then.
-    upright, opposite = ([(axes, sign) for axes in level_axes(sign * force)] for sign in (1.0, -1.0))
-    possible = [upright[0], opposite[0], *upright[1:], *opposite[1:]]
-    words = [(axes_text(axes), axes_text(sign * axes)) for axes, sign in possible]
-    fits = []
-    for rate, _ in words:
-        turned = replace(imu, angular_rate_b=in_frd(imu.angular_rate_b, rate, "imu.axes"))
-        fits.append(None if reference is None else gyro_by_attitude(turned, reference))
-    scores = np.array([0.0 if fit is None else fit.correlation for fit in fits])
-    best = int(np.argmax(scores > scores.max() - _RATE_CLEARLY))
-    for (axes, sign), fit in zip(possible, fits, strict=True):
-        # Single axes whose rate is the opposite of the reference's, as in data with left-handed axes.
-        is_turned = np.zeros(3, np.bool_) if fit is None else (fit.by_axis < -_FOLLOWS) & (fit.excursion > _TURNED)
-        if reference is None or not is_turned.any():
-            continue
-        rows = np.where(is_turned, -1.0, 1.0)[:, None] * axes
-        turned = replace(imu, angular_rate_b=in_frd(imu.angular_rate_b, axes_text(rows), "imu.axes"))
-        agrees = gyro_by_attitude(turned, reference)
-        if (
-            np.linalg.det(rows) < 0.0
-            and agrees
-            and agrees.correlation > max(_RATE_COHERENT, scores.max() + _TURNED_CLEARLY)
-        ):
-            names = " and ".join(np.array(["forward", "starboard", "down"])[is_turned])
-            text = f"agrees with the reference's attitude (correlation {agrees.correlation:.3f}) if {names} is turned"
-            yield Setting("imu.axes", axes_text(rows), f"{felt}, and the angular rate {text}")
-            if sign < 0.0:
-                yield Setting("imu.specific_force_axes", axes_text(sign * rows), _OPPOSITE)
-            return
-    others: Sequence[int] = ()
-    if scores.max() > _RATE_COHERENT:
-        rivals = np.flatnonzero(scores > scores.max() - _RATE_CLEARLY).tolist()
-        if len(rivals) > 1:
-            # Of those that fit alike, those whose rate follows the attitude about each axis about which it turns.
-            turning = [(row, fit) for row in rivals if (fit := fits[row]) is not None]
-            following = [row for row, fit in turning if (fit.by_axis[fit.excursion > _TURNED] > _FOLLOWS).all()]
-            rivals = following or rivals
-        best = rivals[0]
-        seen = f"{felt}, and the angular rate agrees with the reference's attitude (correlation {scores.max():.3f})"
-        others = rivals[1:] if words[best][0] != "frd" else ()
-    elif words[best][0] == "frd":
-        seen = f"{felt}, as expected for forward-starboard-down"
-    else:
-        seen, others = f"{felt}; in a level vehicle it must be along -z", range(1, 3)
-    texts = []
-    for rate, force_axes in (words[row] for row in others):
-        also = f' with specific_force_axes = "{force_axes}"' if force_axes != rate else ""
-        texts.append(f'axes = "{rate}"{also}')
-    built_in = f"how the IMU is built in; it could also be {', or '.join(texts)}" if texts else ""
-    rate, force_axes = words[best]
-    yield Setting("imu.axes", rate, seen, built_in)
-    if rate != force_axes:
-        yield Setting("imu.specific_force_axes", force_axes, _OPPOSITE)
+        text = f"the largest value is {largest:.3g}, possible in both units"
+        yield Setting("imu.angular_rate_unit", "rad/s", text, "rad/s or deg/s, see the data sheet")
 
 
 def level_axes(force: Floats) -> list[Floats]:
@@ -361,10 +279,6 @@ def axes_text(rows: Floats) -> str:
 _DVL_WORDS: Final = re.compile(r"dvl|doppler|bottom")
 _FLAGS: Final = re.compile(r"valid|lock|good")
 _SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0  # speeds over ground of a vehicle under way
-_CLOSE: Final = 1.5  # factor within which a comparison with the reference decides on a unit
-_DVL_COHERENT: Final = 0.97
-_DVL_CLEARLY: Final = 0.01
-_DVL_AXES_OPEN: Final = "frd, flu (y to port, z up) or a signed permutation; see the data sheet"
 
 
 def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
@@ -382,6 +296,7 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
     if velocities:
         yield _fields("dvl.velocity", velocities)
         yield Setting("dvl.kind", "velocity")
+        yield Setting("dvl.axes", "frd", open=_AXES_OPEN)
     for velocity in [*velocities, *beams][:1]:
         units = fitting_units(velocity.size, VELOCITY_UNITS, _SLOWEST_MPS, _QUICKEST_MPS)
         best = units[0] if units else "m/s"
@@ -413,34 +328,6 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
     yield from _stamp(log, topic, "dvl")
     yield Setting("dvl.lever_arm_m", (0.0, 0.0, 0.0), open="from IMU to DVL: forward, starboard, down; measure it")
     yield Setting("dvl.mounting_rpy_deg", (0.0, 0.0, 0.0), open="DVL axes to body: roll, pitch, heading; measure them")
-
-
-def _measured_dvl(dvl: DvlColumns, reference: ReferenceColumns | None, config: Config) -> Iterator[Setting]:
-    """Propose axes and unit by what the reference's velocity shows."""
-    if dvl.velocity_d is None or config.dvl.axes is not None:
-        return
-    as_flu = replace(dvl, velocity_d=dvl.velocity_d @ MAT_FRD_FLU)
-    fits = {
-        axes: fit
-        for axes, columns in (("frd", dvl), ("flu", as_flu))
-        if reference is not None and (fit := dvl_by_velocity(columns, reference, config)) is not None
-    }
-    best = max(fits, key=lambda axes: fits[axes].coherence, default="frd")
-    if not fits or fits[best].coherence < _DVL_COHERENT:
-        text = "the axes cannot be determined: no velocity to compare with"
-        yield Setting("dvl.axes", "frd", text, _DVL_AXES_OPEN)
-        return
-    coherence, other = fits[best].coherence, min(fit.coherence for fit in fits.values())
-    if coherence - other < _DVL_CLEARLY:
-        seen = f"both frd and flu agree with the reference's velocity (coherence {other:.3f})"
-        yield Setting("dvl.axes", best, seen, _DVL_AXES_OPEN)
-    else:
-        seen = f"so it agrees with the reference's velocity: coherence {coherence:.3f}, with the other axes {other:.3f}"
-        yield Setting("dvl.axes", best, seen)
-    scale = fits[best].scale / VELOCITY_UNITS[config.dvl.velocity_unit or "m/s"]
-    for unit in fitting_units(scale, VELOCITY_UNITS, 1.0 / _CLOSE, _CLOSE):
-        text = f"in this unit the speed is {scale * VELOCITY_UNITS[unit]:.3f} times the reference's"
-        yield Setting("dvl.velocity_unit", unit, text)
 
 
 # --- The reference: topic and fields by their names, and in which frame its velocity is.
@@ -672,24 +559,12 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
-    imu, dvl, reference = seen.columns.imu, seen.columns.dvl, seen.columns.reference
+    imu = seen.columns.imu
     named = {setting.key for setting in settings}
     measured = not_yet_set(_recorder_stamps(log, findings, seen.clocks, config), config)
     if imu is not None:
         (source,) = findings[0].sources
-        imu_settings = source.completed(config.imu)
-        found = list(_measured_imu(imu, imu_settings, reference, gyro_scale(imu, dvl, reference, config)))
-        # The scale of the gyros, once the rate is in the axes and the unit that are proposed.
-        values = {setting.key: setting.value for setting in found if setting.value is not None}
-        read_in = imu_settings.angular_rate_unit or "rad/s"
-        unit = ANGULAR_RATE_UNITS[values.get("imu.angular_rate_unit", read_in)] / ANGULAR_RATE_UNITS[read_in]
-        rate_b = in_frd(imu.angular_rate_b, values.get("imu.axes", FRD), "imu.axes", unit)
-        scale = gyro_scale(replace(imu, angular_rate_b=rate_b), dvl, reference, config) if deep else None
-        is_measured = scale is not None and scale.tolerance <= 1.0 + LARGEST_TRACK_ERROR  # gravity shows less
-        if scale is not None and is_measured and scale.tolerance < scale.off < UNIT_WRONG:
-            text = f"the angular rate is {scale.scale:.3g} times the rate derived from {scale.by}"
-            number = round(scale.scale * imu_settings.angular_rate_scale, 3)
-            found.append(Setting("imu.angular_rate_scale", number, text))
+        found = list(_measured_units(imu, source.completed(config.imu)))
         if "imu.angular_rate" not in named:
             # Of a known type only what is unlike it, and of which topic it holds.
             unlike = [setting for setting in found if setting.value not in _DEFAULTS]
@@ -697,8 +572,6 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
         measured += found
     for source in findings[_REFERENCE].sources if deep else ():  # it takes all messages to tell
         measured += _measured_reference(log, source, config)
-    if "dvl.velocity" in named and len(dvl.time_ns):
-        measured += _measured_dvl(dvl, reference, config)
     return measured
 
 

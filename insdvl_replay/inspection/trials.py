@@ -130,6 +130,9 @@ class Trials:
 
     def __init__(self, dive: Dive, config: Config, as_read: Hypothesis) -> None:
         self.dive, self.config, self.as_read = dive, config, as_read
+        self.found = [as_read]
+        if not (len(dive.imu.time_ns) and len(dive.dvl.time_ns)):
+            return
         fastest_radps = float(np.quantile(np.linalg.norm(dive.imu.angular_rate_b, axis=1), 0.99))
         scales = [1.0, DEG_PER_S] if fastest_radps > FAST_RADPS else [1.0]
         possible = [replace(one, rate_scale=scale) for scale in scales for one in mounted(dive, as_read)]
@@ -180,7 +183,7 @@ class Trials:
 
     def vary(self) -> None:
         """Try single axes with another sign, and other scales."""
-        if self.cost < SETTLED:
+        if self.cost < SETTLED or not np.isfinite(self.cost):
             return
         others: list[Hypothesis] = []
         if self.cost > CONSISTENT:

@@ -700,7 +700,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
 def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
     command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        wait_for(tmp_path / "out" / "dive_1", process)
+        wait_for(tmp_path / "out" / "dive_2", process)
         workers = [child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline())]
         workers[0].kill()
         _, err = ended(process)

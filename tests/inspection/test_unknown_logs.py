@@ -17,6 +17,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
+from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.inspection.dry_run import FieldMatch
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
@@ -74,21 +75,30 @@ def on_its_side(vector: np.ndarray) -> np.ndarray:
     return vector[..., [0, 2, 1]] * [1.0, 1.0, -1.0]
 
 
-@pytest.mark.parametrize(("turn", "axes"), [(as_flu, "flu"), (on_its_side, "+x-z+y")])
-def test_reference_decides_units_and_axes(
-    turn: Callable[[np.ndarray], np.ndarray], axes: str, turning: Dive, tmp_path: Path
+@pytest.mark.parametrize(
+    ("turn", "axes", "scale"),
+    [
+        (as_flu, "flu", 1.0),
+        (as_flu, "flu", 0.6),
+        pytest.param(on_its_side, "+x-z+y", 1.0, marks=pytest.mark.nightly),
+    ],
+)
+def test_trials_find_units_axes_and_scale(
+    turn: Callable[[np.ndarray], np.ndarray], axes: str, scale: float, turning: Dive, tmp_path: Path
 ) -> None:
-    """Nothing is left to a person but what a vehicle that only yaws and never slips sideways cannot show."""
-    log, known, file = tmp_path / "unknown.mcap", tmp_path / "known.mcap", tmp_path / "vehicle.toml"
-    unknown_logs.turned(log, turning, turn)
-    inventory = inspect_log(log, load_config(), deep=True)
-    assert set(inventory.decisions) <= {"imu.axes", "dvl.axes", "dvl.lever_arm_m", "dvl.mounting_rpy_deg"}
-    file.write_text(inventory.configuration)
-    config = load_config(file=file)
+    log = tmp_path / "unknown.mcap"
+    scaled = replace(turning.imu, angular_rate_b=scale * turning.imu.angular_rate_b)
+    unknown_logs.turned(log, replace(turning, imu=scaled), turn)
+    config = find_settings([[log]], load_config()).config
     assert (config.imu.axes, config.imu.angular_rate_unit, config.imu.specific_force_unit) == (axes, "deg/s", "g")
-    assert (config.dvl.axes, config.dvl.velocity_unit, config.dvl.stamp) == ("flu", "mm/s", "stamp_ms")
+    assert config.imu.angular_rate_scale == pytest.approx(scale, abs=0.01)
+    assert (config.dvl.velocity_unit, config.dvl.stamp) == ("mm/s", "stamp_ms")
+    read, known = replay_log(log, config).velocities, tmp_path / "known.mcap"
     write_dive(known, turning)
-    assert_same_tables(replay_log(log, config).tables, replay_log(known, load_config()).tables)
+    truth = replay_log(known, load_config()).velocities
+    count = min(len(read.velocity_b), len(truth.velocity_b))
+    # This vehicle never slips sideways: a DVL on its back measures the same.
+    np.testing.assert_allclose(read.velocity_b[-count:, 0], truth.velocity_b[-count:, 0], atol=0.02)
 
 
 def test_fields_without_telling_names_are_listed_with_what_they_hold(straight: Dive, tmp_path: Path) -> None:
@@ -149,15 +159,6 @@ def test_forces_alone_are_no_imu(tmp_path: Path) -> None:
     configuration = inspect_log(log, load_config()).configuration
     assert '"shake", 100 messages' in configuration
     assert not re.search(r"(?m)^topic", configuration)
-
-
-def test_scale_of_the_gyros_that_the_whole_log_shows_is_proposed(turning: Dive, tmp_path: Path) -> None:
-    log, scaled = tmp_path / "unknown.mcap", replace(turning.imu, angular_rate_b=0.6 * turning.imu.angular_rate_b)
-    unknown_logs.turned(log, replace(turning, imu=scaled), as_flu)
-    assert "angular_rate_scale" not in inspect_log(log, load_config()).configuration
-    found = re.search(r"angular_rate_scale = (\S+)", inspect_log(log, load_config(), deep=True).configuration)
-    assert found
-    assert float(found[1]) == pytest.approx(0.6, abs=0.01)
 
 
 def test_flags_of_good_pings_are_asked_for(straight: Dive, tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_propose_and_calibrate_find_settings(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="exists"):
         insdvl_replay.simulate("static", log)
     proposed = insdvl_replay.propose(log)
-    is_whole(proposed, {"settings", "blockers"}, tmp_path / "proposed")
+    is_whole(proposed, {"missing"}, tmp_path / "proposed")
     load_config(tmp_path / "proposed" / "proposed.toml")
     found = insdvl_replay.calibrate([log], load_config(), only=["arm"])
     is_whole(found, {"parameters", "noise", "dives"}, tmp_path / "calibrated")
