@@ -50,7 +50,7 @@ def test_reasons_given_for_the_rows_that_disagree_hold() -> None:
     text = reproduction.PAGE.read_text("utf-8")
     phi_n = STATES[3]
     aided = replay_log(SAMPLE, load_config()).histories[1]
-    assert f"but to {aided.sd[:, phi_n.index].max() / phi_n.factor:.2f} mrad" in text
+    assert f"at its largest, {aided.sd[:, phi_n.index].max() / phi_n.factor:.2f} mrad" in text
     override = "initial.misalignment_sd_deg=[0.485,0.485,0.5]"
     assert f"`--set {override}`" in text
     rows = frame(replay_log(SAMPLE, load_config(overrides=[override])).tables.improvement).set_index("state")
