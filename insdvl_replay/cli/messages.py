@@ -80,7 +80,7 @@ def log_findings(notes: Iterable[Note], file: Path) -> bool:
     findings = [note for note in notes if is_finding(note)]
     for note in findings:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
-    if findings:
+    if findings and file.is_file():
         log_to_stderr(f"to repeat it: -c {shlex.quote(str(file))}")
     return bool(findings)
 

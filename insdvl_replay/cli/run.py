@@ -191,10 +191,10 @@ def run(
             if verbose and report.notes and not explained:
                 log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
                 explained = True
-        if prints_each:
-            write_stdout(shown(report, target))
         if talks or (outcome.unchanged and alone and not quiet):
             log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
+        if prints_each:
+            write_stdout(shown(report, target))
         codes[name] = _strict_code(name, report, verbose) if strict else 0
     if brief:
         write_stdout("".join(f"{visible(line)}\n" for line in quiet_lines(reports)))
@@ -305,7 +305,8 @@ def outcomes_without_settings(
     from insdvl_replay.batch.jobs import known_reports
     from insdvl_replay.cli.messages import is_finding
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
-    from insdvl_replay.core.errors import UserError
+    from insdvl_replay.core.errors import Note, UserError
+    from insdvl_replay.core.words import Severity
     from insdvl_replay.inspection.automatic import find_settings, stored_settings
     from insdvl_replay.preparation.run import MisfitError
 
@@ -352,7 +353,9 @@ def outcomes_without_settings(
             )
     except UserError as error:
         if isinstance(first.result, MisfitError):
-            yield from outcomes_as_planned(with_options(dives), jobs, None, force=force, rerun=rerun)
+            text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"
+            note = Note("found_nothing", text, 1, Severity.WARNING, error.hint)
+            yield from outcomes_as_planned(with_options(dives, found=(note,)), jobs, None, force=force, rerun=rerun)
             return
         yield replace(first, result=error)
         if dives[1:]:

@@ -203,6 +203,7 @@ class Navigation(Section, frozen=True):
 class Reference(Navigation, frozen=True):
     """The solution to start from and to compare with. Position, velocity and attitude are each optional."""
 
+    ignore: Annotated[bool, Comment("true: use no reference, also if the log has one")] = False
     independent: Annotated[bool, Comment("false: it was computed from the same IMU or DVL")] = True
     position_sd_m: Annotated[
         NotNegative, Comment("sd of its own error; smaller differences between filters count as none")

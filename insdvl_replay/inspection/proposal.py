@@ -32,6 +32,7 @@ from insdvl_replay.core.states import (
     SPECIFIC_FORCE_UNITS,
     VELOCITY_UNITS,
 )
+from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.dry_run import (
     AS_GRAVITY_MPS2,
     DryRun,
@@ -86,6 +87,16 @@ def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
             section = msgspec.structs.replace(getattr(config, setting.section), **{setting.name: setting.value})
             config = msgspec.structs.replace(config, **{setting.section: section})
     return config
+
+
+def with_values(config: Config, section: str, **values: Any) -> Config:
+    """Set keys of one section."""
+    return with_settings(config, [Setting(f"{section}.{key}", value) for key, value in values.items()])
+
+
+def found_note(code: str, text: str, hint: str = "", *, warn: bool = False) -> Note:
+    """Report what was found; a warning where it is assumed."""
+    return Note(code, text, 1, Severity.WARNING if warn else Severity.INFO, hint)
 
 
 def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
@@ -459,16 +470,21 @@ def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damag
     log = open_recording(path, allow_damaged=allow_damaged)
     with log.watched():
         findings = find_roles(str(log.path), log.channels, config)
-        seen = DryRun(log, config, deep=True)
+        seen = DryRun(log, config, deep=False)
         seen.examine(findings)
-        return propose(log, findings, seen, config)
+        return propose(log, findings, seen, config, whole_reference=True)
 
 
-def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config) -> Proposal:
-    """Propose what a replay lacks, by what was seen of the roles; else what settles a contradiction."""
+def propose(
+    log: Recording, findings: Sequence[Finding], seen: DryRun, config: Config, *, whole_reference: bool = False
+) -> Proposal:
+    """Propose what a replay lacks, by what was seen of the roles; else what settles a contradiction.
+
+    It takes the whole reference to find in which frame its velocity is.
+    """
     if not seen.blockers and not list(_start(findings, config.initial)):
         contradicted = any(note.code == "reference_contradiction" for note in seen.notes)
-        sources = findings[_REFERENCE].sources if contradicted else ()
+        sources = findings[_REFERENCE].sources if contradicted or whole_reference else ()
         return Proposal(tuple(setting for source in sources for setting in _measured_reference(log, source, config)))
     fields, unseen = _unknown_topics(log, findings, config)
     settings = [*_choices(findings, seen), *not_yet_set(fields, config)]
@@ -478,7 +494,8 @@ def propose(log: Recording, findings: Sequence[Finding], seen: DryRun, config: C
 
         clocks = not_yet_set(table_clock_settings(log, with_settings(config, settings)), config)
         settings += clocks
-    settings += _measured(log, with_settings(config, settings), settings, deep=seen.deep)
+    whole_reference = whole_reference or seen.deep
+    settings += _measured(log, with_settings(config, settings), settings, seen.deep, whole_reference)
     draft = with_settings(config, settings)
     found = find_roles(str(log.path), log.channels, draft)
     settings += _start(found, draft.initial)
@@ -554,7 +571,9 @@ def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> It
         yield Setting(f"{role}.{quantity}", None, open=text, others=others)
 
 
-def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, deep: bool) -> list[Setting]:
+def _measured(
+    log: Recording, config: Config, settings: Sequence[Setting], deep: bool, whole_reference: bool
+) -> list[Setting]:
     """Evaluate units, axes and clocks by what the messages show, read as proposed so far."""
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
@@ -570,7 +589,7 @@ def _measured(log: Recording, config: Config, settings: Sequence[Setting], *, de
             unlike = [setting for setting in found if setting.value not in _DEFAULTS]
             found = [replace(setting, seen=f"{source.topic}: {setting.seen}") for setting in unlike]
         measured += found
-    for source in findings[_REFERENCE].sources if deep else ():  # it takes all messages to tell
+    for source in findings[_REFERENCE].sources if whole_reference else ():
         measured += _measured_reference(log, source, config)
     return measured
 

@@ -41,7 +41,7 @@ STRANGE: Final = 0.6  # the same for single signs and other scales, which are ra
 SETTLED: Final = 0.25  # cost of a trial that leaves nothing to find: innovations of half the coarse noise
 CONSISTENT: Final = 1.0  # cost of a trial whose innovations are as large as the coarse noise expects
 FAST_RADPS: Final = 0.6  # vehicles turn faster rarely, so that faster rates may be in deg/s
-NOT_FAR_OFF: Final = 4.0  # ratio to the least cost of all IMUs above which one is not looked at further
+NOT_FAR_OFF: Final = 2.0  # ratio to the least cost of all IMUs above which one is not looked at further
 LEAST_MPS: Final = 0.03  # slower velocities are noise of the DVL
 BEST: Final = 4  # hypotheses of axes that get single signs and scales tried
 # Ratios of measured to true rate that are tried; deg/s are tried by themselves.

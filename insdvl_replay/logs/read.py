@@ -231,7 +231,9 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     imu, dvl = needed(requirement("imu", config.imu)), needed(requirement("dvl", config.dvl))
     besides = {source.topic for source in dvl.sources} | {own.topic for own in config.solutions.values() if own.topic}
     required = requirement("reference", config.reference)
-    reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
+    reference = Finding("reference", (), "ignored by the settings")
+    if not config.reference.ignore:
+        reference = _explained(topics, required, lambda: _references(topics, config, besides), besides)
     sensors = [needed(requirement(name, getattr(config, name))) for name in config.sensors]
     for name, section in config.topics.items():
         sensors.append(needed(requirement(f"{LOG_TOPIC}{name}", section, "topic")))

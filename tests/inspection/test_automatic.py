@@ -1,9 +1,11 @@
 """`run` without settings: what is found for logs that cannot be replayed as they are, and how it is reported."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import damaged
+import numpy as np
 import pytest
 
 from insdvl_replay import replay_log
@@ -96,3 +98,43 @@ def test_a_vehicle_at_rest_is_refused(tmp_path: Path) -> None:
     write_dive(log, damaged.velocities_alone(simulate_dive("static", duration_s=60.0)))
     with pytest.raises(LogError, match="too slow to find settings"):
         find_settings([[log]], load_config())
+
+
+def test_a_reference_that_moves_otherwise_is_not_used(good: Dive, tmp_path: Path) -> None:
+    reference = good.reference
+    assert reference is not None
+    rng = np.random.default_rng(1)
+    wandering = np.cumsum(rng.normal(scale=0.3, size=reference.velocity_n.shape), axis=0)
+    log = tmp_path / "dive.mcap"
+    write_dive(log, replace(good, reference=replace(reference, velocity_n=wandering)))
+    found = find_settings([[log]], load_config())
+    assert found.config.reference.ignore
+    assert "found_reference" in {note.code for note in found.notes}
+    assert replayed(log, found.config).dive.reference is None
+
+
+def test_defaults_are_used_with_a_warning_where_nothing_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "static.mcap"
+    write_dive(log, replace(simulate_dive("static", duration_s=60.0), truth=None))
+    assert run_command_line(["run", str(log), "-o", str(tmp_path / "out"), "--starts", "1"]) == 0
+    said = capsys.readouterr().err
+    assert "assumed: no settings were found: " in said
+    assert "to repeat it" not in said
+
+
+def test_tracks_are_added_with_the_settings_that_were_found(
+    good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, out = written(good, "deg/s", tmp_path), tmp_path / "out"
+    command = ["run", str(log), "-o", str(out), "--starts", "1", "--set", "dvl.scale=1.001"]
+    assert run_command_line(command) == 0
+    report = json.loads((out / "dive" / "report.json").read_text())
+    assert report["config"]["dvl"]["scale"] == 1.001
+    assert run_command_line(["run", str(log), "-o", str(out), "--starts", "1", "--force"]) == 0
+    assert json.loads((out / "dive" / "report.json").read_text())["config"]["dvl"]["scale"] == 1.0
+    capsys.readouterr()
+    assert run_command_line(["run", str(log), "-o", str(out), "--starts", "1", "--tum", "--force"]) == 0
+    assert "found: IMU" in capsys.readouterr().err
+    assert (out / "dive" / "reference.tum").is_file()

@@ -1,0 +1,287 @@
+"""Who plays which role in a log, in which units and axes: all that could be the IMU or the DVL is tried."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay.checks.dvl import median_speed_mps
+from insdvl_replay.checks.imu import imu_remarks
+from insdvl_replay.core.config import Config, Dvl, Imu
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
+from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.runtime import track_progress
+from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS, VELOCITY_UNITS
+from insdvl_replay.geometry.frames import look_down
+from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
+from insdvl_replay.inspection.proposal import (
+    axes_text,
+    found_note,
+    propose_settings,
+    with_settings,
+    with_values,
+)
+from insdvl_replay.inspection.trials import (
+    CLEARLY,
+    CONSISTENT,
+    DEG_PER_S,
+    LEAST_MPS,
+    NOT_FAR_OFF,
+    Hypothesis,
+    Trials,
+    as_reference_moves,
+    rates_compared,
+    thinned,
+    trial_config,
+)
+from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vectors
+from insdvl_replay.logs.columns.tables import read_tables
+from insdvl_replay.logs.columns.topics import Source
+from insdvl_replay.logs.formats.recording import Recording, open_recording
+from insdvl_replay.logs.read import RoleColumns, find_roles
+
+SAME_MOTION: Final = 0.9  # correlation of the rates of two IMUs of one vehicle
+LARGEST_APART: Final = 0.05  # share by which their scales may differ
+SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
+SAME_SPEED: Final = 1.5  # factor within which median speeds of DVL and reference agree
+SPINNING_RADPS: Final = 1.0
+QUARTERS_DEG: Final = frozenset({-90.0, 0.0, 90.0, 180.0})  # headings of a DVL that are tried
+UNKNOWN_LATITUDE_DEG: Final = 45.0
+
+
+@dataclass(frozen=True)
+class _ImuTopic:
+    """A topic that could be the IMU, with its readings in its own axes."""
+
+    topic: str
+    columns: ImuColumns
+    settings: Imu  # with which it was read, and no axes
+    as_read: Hypothesis  # by its type and the settings
+
+
+@dataclass(frozen=True)
+class RoleReadings:
+    """What could play the roles of a log."""
+
+    place: str
+    draft: Config  # as proposed by names, types and sizes
+    imus: list[_ImuTopic]
+    pings: dict[str, DvlColumns]  # by topic
+    reference: ReferenceColumns | None
+
+
+def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool) -> RoleReadings:
+    """Read all topics that could be the IMU or the DVL, and the proposed reference; LogError where there is none."""
+    proposal = propose_settings(paths, given, allow_damaged=allow_damaged)
+    draft = with_settings(given, proposal.settings)
+    log = open_recording(paths, allow_damaged=allow_damaged)
+    place = str(log.path)
+    with log.watched():
+        proposed = {finding.role: finding for finding in find_roles(place, log.channels, draft)}
+        by_type = {finding.role: finding for finding in find_roles(place, log.channels, given)}
+        for role in ("dvl", "imu"):
+            if (error := proposed[role].error) is not None:
+                raise error
+        refused: list[LogError] = []
+        imus = list(_imu_topics(log, by_type["imu"].candidates or proposed["imu"].sources, draft, refused))
+        if not imus:
+            raise refused[0] if refused else LogError("has no readings of an IMU", "", place)
+        columns = RoleColumns(place, draft)
+        if proposed["reference"].sources:
+            with suppress(UserError):
+                columns.decode("reference", read_tables(log, proposed["reference"].sources))
+        reference = columns.reference
+        pings: dict[str, DvlColumns] = {}
+        for source in by_type["dvl"].candidates or proposed["dvl"].sources:
+            (table,) = read_tables(log, [source])
+            columns = RoleColumns(place, draft)
+            columns.decode("dvl", [table])
+            unit = _velocity_unit(median_speed_mps(columns.dvl), reference, draft)
+            if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
+                draft = with_values(draft, "dvl", velocity_unit=unit)
+                columns = RoleColumns(place, draft)
+                columns.decode("dvl", [table])
+            pings[source.topic] = columns.dvl
+    if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
+        text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
+        raise LogError(text, "use a dive with turns and changes of speed, or give the settings with -c", place)
+    return RoleReadings(place, draft, imus, pings, reference)
+
+
+def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
+    """Return the unit in which a median speed, read as in the draft, is that of the reference, else of a vehicle."""
+    read_in = draft.dvl.velocity_unit or "m/s"
+    size = speed_mps / VELOCITY_UNITS[read_in]
+    speeds_mps = np.zeros(0) if reference is None else np.linalg.norm(reference.velocity_n, axis=1)
+    known_mps = float(np.median(speeds_mps[np.isfinite(speeds_mps)])) if np.isfinite(speeds_mps).any() else 0.0
+    fitting = fitting_units(size, VELOCITY_UNITS, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
+    if not fitting and speed_mps > FASTEST_MPS:
+        fitting = fitting_units(size, VELOCITY_UNITS, *SPEEDS_MPS)
+    return fitting[0] if fitting else read_in
+
+
+def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[Config, float]:
+    """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs; return the cost of the best."""
+    place, draft, imus, pings = read.place, read.draft, read.imus, read.pings
+    tried: list[tuple[Trials, _ImuTopic, str]] = []
+    for imu in track_progress("trying IMUs and DVLs", imus):
+        for topic, dvl in pings.items():
+            dive = Dive("", imu.columns, dvl, reference=read.reference)
+            trials = Trials(thinned(dive), trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read)
+            tried.append((trials, imu, topic))
+    tried.sort(key=lambda found: found[0].cost)
+    for trials, *_ in tried:
+        least = min(found.cost for found, *_ in tried)
+        if trials.cost <= NOT_FAR_OFF * least and (trials is tried[0][0] or least > CONSISTENT):
+            trials.vary()
+    tried.sort(key=lambda found: found[0].cost)
+    trials, imu, dvl_topic = tried[0]
+    if not np.isfinite(trials.cost):
+        raise LogError(
+            "IMU and DVL have no common time, or too few pings to try settings",
+            "compare their times: insdvl-replay inspect",
+            place,
+        )
+    dive = Dive("", imu.columns, pings[dvl_topic], reference=read.reference)
+    best = as_reference_moves(trials.close, dive, draft)
+    alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (best.axes, best.force_axes)}
+    if alike >= QUARTERS_DEG and config.dvl.mounting_rpy_deg == Dvl().mounting_rpy_deg:
+        raise LogError(
+            "the vehicle moves too little to find the mounting of the DVL: all headings fit as well",
+            "use a dive with turns and changes of speed, or give the settings with -c",
+            place,
+        )
+    looks = pings[dvl_topic].look_d
+    notes += _role_notes(tried, best, imus)
+    draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, config.imu, is_alone=len(imus) == 1))
+    if len(pings) > 1:
+        draft = with_values(draft, "dvl", topic=dvl_topic)
+    if looks is None or look_down(looks):
+        return with_values(draft, "dvl", mounting_rpy_deg=best.rpy_deg), trials.cost
+    # The beams point down in other axes.
+    read_b = in_frd(np.eye(3), draft.dvl.axes or FRD, "dvl.axes").T
+    turn = np.rint(mat_from_rpy(np.array(best.rpy_deg) * DEG))
+    return with_values(draft, "dvl", axes=axes_text(turn @ read_b)), trials.cost
+
+
+def _as_configured(imu: _ImuTopic, best: Hypothesis, given: Imu, *, is_alone: bool) -> Imu:
+    """Write a hypothesis as settings of the IMU; what is by type and as read is left out."""
+    settings = imu.settings
+    values: dict[str, Any] = {"axes": best.axes, "specific_force_axes": best.force_axes}
+    if (best.axes, best.force_axes) == (imu.as_read.axes, imu.as_read.force_axes):
+        values = {"axes": given.axes, "specific_force_axes": given.specific_force_axes}
+    elif best.axes == best.force_axes:
+        values["specific_force_axes"] = None
+    unit, scale = _rate_unit(best)
+    if unit:
+        values["angular_rate_unit"] = unit
+    if scale != 1.0:
+        values["angular_rate_scale"] = float(f"{settings.angular_rate_scale * scale:.4g}")
+    if is_alone and given.topic is None and settings.specific_force is None:
+        values["topic"] = None
+    return msgspec.structs.replace(settings, **values)
+
+
+def _rate_unit(best: Hypothesis) -> tuple[str, float]:
+    """Return deg/s where the rates are nearer to these than to rad/s, and the scale in this unit."""
+    if best.rate_scale > np.sqrt(DEG_PER_S):
+        return "deg/s", best.rate_scale / DEG_PER_S
+    return "", best.rate_scale
+
+
+def _imu_topics(
+    log: Recording, sources: Sequence[Source], draft: Config, refused: list[LogError]
+) -> Iterator[_ImuTopic]:
+    """Read the topics that could be the IMU in SI units, by the size of gravity and of the rates."""
+    for source in sources:
+        (table,) = read_tables(log, [source])
+        is_proposed = source.topic == draft.imu.topic
+        own = draft.imu if is_proposed else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
+        known = source.completed(own)
+        as_read = Hypothesis(known.axes or FRD, known.specific_force_axes or known.axes or FRD)
+        force, rate = (
+            measured_vectors(table, "specific_force", "force"),
+            measured_vectors(table, "angular_rate", "rate"),
+        )
+        sizes = np.linalg.norm(force, axis=1)
+        size = float(np.median(sizes[np.isfinite(sizes) & (sizes > 0.0)])) if (sizes > 0.0).any() else np.nan
+        rates = np.linalg.norm(rate, axis=1)
+        turning = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else np.nan
+        values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
+        unit = known.specific_force_unit or "m/s2"
+        fitting = fitting_units(size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
+        if fitting and unit not in fitting:
+            values["specific_force_unit"] = fitting[0]
+        elif not fitting and size > 0.0:
+            near = min(
+                (unit, *SPECIFIC_FORCE_UNITS),
+                key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
+            )
+            ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
+            if near != unit:
+                values["specific_force_unit"] = near
+            values["specific_force_scale"] = float(f"{ratio:.4g}")
+        if turning > SPINNING_RADPS and known.angular_rate_unit != "deg/s":
+            values["angular_rate_unit"] = "deg/s"
+        settings = msgspec.structs.replace(own, **values)
+        try:
+            columns, _ = decode_imu(table, settings)
+        except LogError as error:
+            refused.append(error)
+            continue
+        remarks = imu_remarks(
+            str(log.path), columns, None, msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
+        )
+        stops = [remark for remark in remarks if isinstance(remark, LogError) and remark.what.startswith("the IMU has")]
+        refused += stops
+        if not stops:
+            yield _ImuTopic(source.topic, columns, settings, as_read)
+
+
+def _role_notes(
+    tried: Sequence[tuple[Trials, _ImuTopic, str]], best: Hypothesis, imus: Sequence[_ImuTopic]
+) -> Iterator[Note]:
+    """Report the topics and axes that were chosen, and which others are as good."""
+    trials, imu, dvl_topic = tried[0]
+    parts, warn = [f"IMU {imu.topic}"], False
+    others = {found.topic: run.cost / trials.cost for run, found, _ in reversed(tried[1:]) if found is not imu}
+    if others:
+        parts.append(
+            "innovations of others: " + ", ".join(f"{topic} {ratio:.3g} times" for topic, ratio in others.items())
+        )
+        warn = min(others.values()) * CLEARLY < 1.0
+    if (best.axes, best.force_axes) != (imu.as_read.axes, imu.as_read.force_axes):
+        parts.append(f"axes {best.axes}" + (f", of forces {best.force_axes}" if best.force_axes != best.axes else ""))
+    settings, (unit, scale) = imu.settings, _rate_unit(best)
+    scale *= settings.angular_rate_scale
+    if unit or settings.angular_rate_unit == "deg/s":
+        parts.append("rates in deg/s")
+    if scale != 1.0:
+        parts.append(f"gyros read {scale:.3g} times the true rate")
+        warn = True
+    if settings.specific_force_unit is not None:
+        parts.append(f"forces in {settings.specific_force_unit}")
+    if settings.specific_force_scale != 1.0:
+        parts.append(f"accelerometers read {settings.specific_force_scale:.3g} times gravity")
+        warn = True
+    for other in imus:
+        ratio, correlation = (1.0, 0.0) if other is imu else rates_compared(imu.columns, other.columns)
+        ratio *= other.settings.angular_rate_scale / settings.angular_rate_scale
+        if correlation > SAME_MOTION and abs(ratio - 1.0) > LARGEST_APART:
+            parts.append(f"the gyros of {other.topic} read {ratio:.3g} times as much")
+    yield found_note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn)
+    rivals = [one for one in trials.close if one.rpy_deg != best.rpy_deg]
+    apart = {one.rpy_deg for one in rivals if one.axes == best.axes and one.force_axes == best.force_axes}
+    text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
+    if apart:
+        text += f"; also possible: {' or '.join(map(_rpy, sorted(apart)))}"
+    yield found_note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=bool(apart))
+
+
+def _rpy(rpy_deg: Sequence[float]) -> str:
+    return f"[{', '.join(f'{angle:.4g}' for angle in rpy_deg)}]"
