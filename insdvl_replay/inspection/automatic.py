@@ -25,6 +25,7 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ImuColumns, Referenc
 from insdvl_replay.core.errors import Note, UserError, listed
 from insdvl_replay.core.result import flattened
 from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.inspection.proposal import (

@@ -27,6 +27,7 @@ from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed, visible
 from insdvl_replay.core.states import (
+    ANGULAR_RATE_UNITS,
     BY_SENSOR,
     SENSORS,
     SPECIFIC_FORCE_UNITS,
