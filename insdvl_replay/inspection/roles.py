@@ -20,6 +20,7 @@ from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.proposal import (
+    Setting,
     axes_text,
     found_note,
     propose_settings,
@@ -73,6 +74,7 @@ class RoleReadings:
     imus: list[_ImuTopic]
     pings: dict[str, DvlColumns]  # by topic
     reference: ReferenceColumns | None
+    clocks: tuple[Setting, ...]  # that correct the times of tables
 
 
 def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool) -> RoleReadings:
@@ -110,7 +112,7 @@ def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bo
     if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
         text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
         raise LogError(text, "use a dive with turns and changes of speed, or give the settings with -c", place)
-    return RoleReadings(place, draft, imus, pings, reference)
+    return RoleReadings(place, draft, imus, pings, reference, proposal.table_clocks)
 
 
 def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
@@ -158,6 +160,9 @@ def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[C
         )
     looks = pings[dvl_topic].look_d
     notes += _role_notes(tried, best, imus)
+    if read.clocks:
+        times = "; ".join(f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks)
+        notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
     draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, config.imu, is_alone=len(imus) == 1))
     if len(pings) > 1:
         draft = with_values(draft, "dvl", topic=dvl_topic)
