@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
@@ -89,6 +91,35 @@ DAMAGES: dict[str, Damage] = {
 }
 
 
+SECOND = "second IMU is bad"
+
+
+def write_second_imu(path: Path, dive: Dive, folder: Path) -> None:
+    """Write a dive whose log has another IMU, too: noisy, turned, and with the gyros of one axis wrong."""
+    rng = np.random.default_rng(1)
+    bad = imu("+y-x+z", "+y-x-z")(dive).imu
+    force, rate = (rng.normal(scale=scale, size=bad.specific_force_b.shape) for scale in (0.5, 0.05))
+    bad = ImuColumns(bad.time_ns, bad.specific_force_b + force, bad.angular_rate_b + rate)
+    parts = {folder / "good.mcap": dive, folder / "bad.mcap": replace(dive, imu=bad)}
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        channels: dict[str, int] = {}
+        for part, content in parts.items():
+            write_dive(part, content)
+            with part.open("rb") as source:
+                for schema, channel, message in make_reader(source).iter_messages():
+                    topic = channel.topic if content is dive else f"/spare{channel.topic}"
+                    if schema is None or (content is not dive and channel.topic != "/imu"):
+                        continue
+                    if topic not in channels:
+                        schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                        channels[topic] = writer.register_channel(topic, channel.message_encoding, schema_id)
+                    writer.add_message(channels[topic], message.log_time, message.data, message.publish_time)
+            part.unlink()
+        writer.finish()
+
+
 def velocities_alone(dive: Dive) -> Dive:
     """Return a dive whose DVL gives velocities, and that nothing marks as simulated."""
     if dive.dvl.velocity_d is None:
@@ -130,11 +161,14 @@ def variants(dive: Dive, folder: Path, only: tuple[str, ...] = ()) -> Iterator[t
     write_dive(good, dive)
     size, drift_m = measured(run(good)[0])
     sys.stdout.write(f"{dive.name}: undamaged NIS/dof {size:.2f}, drift in 30 s {drift_m:.3g} m\n")
-    for name, damage in DAMAGES.items():
+    for name in (*DAMAGES, SECOND):
         if only and name not in only:
             continue
         log, started_s = folder / "damaged.mcap", time.process_time()
-        write_dive(log, damage(dive))
+        if name == SECOND:
+            write_second_imu(log, dive, folder)
+        else:
+            write_dive(log, DAMAGES[name](dive))
         try:
             replay, found = run(log)
         except UserError as error:

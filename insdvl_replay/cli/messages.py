@@ -16,6 +16,7 @@ from insdvl_replay.core.errors import LogError, Note, UserError, nearest, visibl
 
 INTERNAL_ERROR = 4
 USAGE = 2
+MOST_FINDINGS = 6  # lines; with that of the others and how to repeat it, these are eight
 
 # typer exports no UsageError, and includes click since 0.20. This finds the class in both cases.
 UsageError = typer.BadParameter.__mro__[1]
@@ -78,8 +79,10 @@ def is_finding(note: Note) -> bool:
 def log_findings(notes: Iterable[Note], file: Path) -> bool:
     """Print what was found or assumed of a vehicle without settings, warnings first; return whether there is any."""
     findings = [note for note in notes if is_finding(note)]
-    for note in findings:
+    for note in findings[:MOST_FINDINGS]:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
+    if more := findings[MOST_FINDINGS:]:
+        log_to_stderr(f"found: {', '.join(note.code for note in more)}: in the report and in {file.name}")
     if findings and file.is_file():
         log_to_stderr(f"to repeat it: -c {shlex.quote(str(file))}")
     return bool(findings)

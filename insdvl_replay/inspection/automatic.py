@@ -106,13 +106,13 @@ def find_settings(dives: Sequence[Paths], given: Config, *, allow_damaged: bool 
     preset = imu_class(read[0].imu)
     config = _as_given(_of_class(preset, config), given)
     read_with_s = config.dvl.latency_s
-    at_imu = [with_reference_at_imu(dive, config) for dive in read]
-    config = _calibrated(at_imu, config, given, notes)
+    config = _calibrated([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
+    read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, better = _with_biases_of_class(config, given, preset)
     if better != preset and given.noise == Noise():
-        again = calibrate_dives([ReadDive(dive, config) for dive in at_imu], config, [NOISE]).found
+        known = [_middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
+        again = calibrate_dives(known, config, [NOISE]).found
         config, preset = _as_given(_with_noise(config, answer_of(again).applied(again)), given), better
-    read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, notes)
     config = _levelled(read[0], config, given, started, preset, notes)
     if len(read) > 1:
@@ -299,8 +299,7 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Config, notes: lis
     better = answer.applied(found)
     if found.estimated and not answer.keeps_geometry:
         # What was held out has shown that it helps; all together know it best.
-        whole = calibrate_dives(read, config, groups).found
-        better = answer_of(whole).applied(whole)
+        better = calibrate_dives(read, config, geometry).found
     changes = [
         f"{LABELS[row.parameter]} {row.change:+.3g} {row.unit}" for row in better.estimated if row.change is not None
     ]
@@ -315,11 +314,16 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Config, notes: lis
         notes.append(
             found_note("found_calibration", text, "a dive with turns and changes of speed shows them", warn=True)
         )
-    if NOISE in groups and (answer.keeps_geometry or not found.estimated):
-        # A noise belongs to the geometry with which it was fitted.
-        found = calibrate_dives(_parts(read), config, [NOISE], hold_out=["0.3"]).found
-        better = answer_of(found).applied(found)
-    return _as_given(_with_noise(config, better), given)
+    if NOISE in groups:
+        # A noise belongs to the geometry with which it is fitted.
+        shift_s = config.dvl.latency_s - read[0].config.dvl.latency_s
+        known = [_middle(ReadDive(_later(dive, shift_s), config)) for dive in dives]
+        if answer.keeps_geometry or not changes:
+            found = calibrate_dives(_parts(known), config, [NOISE], hold_out=["0.3"]).found
+        else:
+            found = calibrate_dives(known, config, [NOISE]).found
+        config = _as_given(_with_noise(config, answer_of(found).applied(found)), given)
+    return config
 
 
 def _with_noise(config: Config, found: Calibration) -> Config:

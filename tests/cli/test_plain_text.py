@@ -145,7 +145,9 @@ def test_run_and_its_folder(hostile: Path) -> None:
         for text in spoken(["run", dive, "--format", format_, "-v"], hostile, 0):
             assert_plain(text)
     _, told = spoken(["run", dive, "--rerun", "-vv"], hostile, 0)
-    assert len(told.splitlines()) == len(re.findall(r"^(?:info|warning|wrote|assumed|found|`insdvl-replay)\b", told, re.MULTILINE))
+    assert len(told.splitlines()) == len(
+        re.findall(r"^(?:info|warning|wrote|assumed|found|`insdvl-replay)\b", told, re.MULTILINE)
+    )
     result = hostile / "replay" / DIVE
     log = (result / "run.log").read_text("utf-8")
     assert_plain(log)
