@@ -406,7 +406,7 @@ def measure_clock(
         topic=topic,
         stamp=stamp,
         messages=len(time_ns),
-        log_minus_stamp_s=round((float(first_ns) + median) * 1e-9 - latency_s, 9) + 0.0,
+        log_minus_stamp_s=round((float(first_ns) + median) * 1e-9 - latency_s, 12) + 0.0,
         spread_s=(high - low) * 1e-9,
         back_steps=back_steps,
         repeats=repeats,
