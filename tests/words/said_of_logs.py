@@ -12,6 +12,7 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path
 from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.logs.read import find_roles
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.replay import replay_dive
@@ -28,6 +29,7 @@ def said_of_logs(folder: Path) -> Cases:
     """Return what is said of channels and fields, of logs as they are read, and as a replay begins."""
     yield from of_channels()
     yield from as_they_are_read(folder)
+    yield from of_tables(folder)
     yield from as_a_replay_begins()
 
 
@@ -56,6 +58,39 @@ def first_error(channels: list[LogChannel], config: Config) -> None:
     for finding in find_roles("a.mcap", channels, config):
         if isinstance(finding.error, UserError):
             raise finding.error
+
+
+def of_tables(folder: Path) -> Cases:
+    """Return what is said of tables with faults, as errors or as notes."""
+    good = [f"{0.2 * i:.1f},{1 + 0.01 * i:.2f},0.1,0.2" for i in range(40)]
+    head = "t,vx,vy,vz"
+    for name, lines, end in (
+        ("words", ["hello", "you"], "\n"),
+        ("names of another width", ["t,vx,vy", *good], "\n"),
+        ("rows of other widths", [head, *good[:20], *("1,2" for _ in range(9))], "\n"),
+        ("text in many cells", [head, *good, *("9,none,none,none" for _ in range(9))], "\n"),
+        ("a cut end", [head, *good, "8.0,1.4"], ""),
+        ("text, two heads and a short row", [head, "s,m/s,m/s,m/s", *good, "8.0,1.4", "8.2,1.x,0.1,0.2"], "\n"),
+        ("no head, no times and empty cells", [line.partition(",")[2] for line in good] + [",0.1,"], "\n"),
+        (
+            "decimal commas, a row without time",
+            [line.replace(",", ";").replace(".", ",") for line in [head, *good, ",1,1,1"]],
+            "\n",
+        ),
+    ):
+        path = folder / "dvl.csv"
+        path.write_text("\n".join(lines) + end)
+        try:
+            yield f"table with {name}", noted(open_recording(path).notes)
+        except UserError:
+            yield f"table with {name}", refusal(open_recording, path)
+    for name in ("imu", "dvl"):
+        (folder / f"{name}.csv").write_text("\n".join([head, *good, ""]))
+    yield "two tables from 0 s", noted(open_recording([folder / "dvl.csv", folder / "imu.csv"]).notes)
+    yield "tables without settings", refusal(read_dive, folder / "imu.csv", Config())
+    imu = ["imu.topic=imu.csv", "imu.specific_force=vx, vy, vz", "imu.angular_rate=vx, vy, wz"]
+    dvl = ["dvl.topic=imu.csv", "dvl.velocity=vx, vy, vz"]
+    yield "a column that is not there", refusal(read_dive, folder / "imu.csv", load_config(overrides=[*imu, *dvl]))
 
 
 def as_they_are_read(folder: Path) -> Cases:

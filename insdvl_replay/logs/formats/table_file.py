@@ -77,6 +77,7 @@ class TableFile(LogFile):
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
         self._notes: list[Note] = []
+        self._commas = 0  # numbers with a decimal comma in the table that is read
         self._rows: list[NDArray[np.float64]] = []  # of each channel, (k, 1 + n): number of the row, then the columns
         self._time_ns: list[TimeNs] = []
         channels = list[LogChannel]()
@@ -86,13 +87,13 @@ class TableFile(LogFile):
                 names = [(name, 1 if values.ndim == 1 else values.shape[1]) for name, values in table.columns.items()]
                 numbers = [np.arange(len(kept), dtype=np.float64)[:, None]]
                 numbers += [values.reshape(len(kept), -1).astype(np.float64) for values in table.columns.values()]
-                rows = np.concatenate(numbers, axis=1)
+                rows = np.concatenate(numbers, axis=1)[kept]
                 missing = ~(np.abs(rows) < _LARGEST)
                 rows[missing] = np.nan
                 if some := int(np.count_nonzero(missing[:, ~missing.all(axis=0)])):
-                    clause = counted_clause(some, "cells are empty or no possible numbers and count as missing")
+                    clause = counted_clause(some, "cells are empty, NaN or too large and count as missing")
                     self._note("table_missing", table.topic, clause, some, warn=False)
-                self._rows.append(rows if kept.all() else rows[kept])
+                self._rows.append(rows)
                 self._time_ns.append(time_ns[kept])
                 channels.append(
                     LogChannel(
@@ -196,7 +197,7 @@ class TableFile(LogFile):
             raise LogError(f"{wrong} of {len(cells)} rows have other than {width} cells", "one row a line", self.path)
         if wrong:
             clause = counted_clause(wrong, f"rows have other than {width} cells")
-            where = head + 1 + int(np.argmin(fits))
+            where = int(np.argmin(fits)) + 1
             self._note("table_rows", name, f"{clause}; left out, the first is row {where}", wrong, "copy it again")
         joined = "\n".join(line if fits[i] else (separator or " ") * (width - 1) for i, line in enumerate(lines[head:]))
         frame = pd.read_csv(
@@ -221,6 +222,10 @@ class TableFile(LogFile):
                 table.units[name] = "ns"
             table.columns[name] = values
             table.units |= {name: unit} if (unit := unit_of(title)) else {}
+        if self._commas:
+            clause = counted_clause(self._commas, "numbers have a decimal comma and are read so")
+            self._note("table_decimal_comma", topic, clause, self._commas)
+            self._commas = 0
         return table
 
     def _numbers(self, topic: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
@@ -235,8 +240,7 @@ class TableFile(LogFile):
         texts = series[is_text].astype(str)
         if len(texts) and texts.str.fullmatch(_DECIMAL_COMMA.pattern).mean() > 1.0 - _FEW:
             numbers = pd.to_numeric(series.astype(str).str.replace(",", "."), errors="coerce")
-            clause = counted_clause(len(texts), "numbers have a decimal comma, and are read so")
-            self._note("table_decimal_comma", topic, f"column '{title}': {clause}", len(texts))
+            self._commas += len(texts)
             is_text = (series.notna() & numbers.isna()).to_numpy()
         count, known = int(np.count_nonzero(is_text)), int(series.notna().sum())
         if count and count == known:
@@ -249,7 +253,7 @@ class TableFile(LogFile):
             text = f"column '{title}' has text in {count} of {known} cells"
             raise LogError(text, "numbers with a decimal point; leave the cell empty where there is none", self.path)
         if count:
-            clause = counted_clause(count, "cells are not numbers and count as missing")
+            clause = counted_clause(count, "cells are text and count as missing")
             where = int(np.argmax(is_text)) + 1
             self._note(
                 "table_cells", topic, f"column '{title}': {clause}, the first in row {where}", count, "copy it again"
