@@ -18,6 +18,7 @@ sentences, figures, tables, notes, provenance; a command with another order sets
 """
 
 import hashlib
+import importlib.util
 import platform
 import shutil
 import sys
@@ -369,8 +370,11 @@ def build_report(
 
 
 def _code_file(word: str) -> CodeFile:
-    """Return the file of a program, or from which this process has imported a class."""
-    file = getattr(sys.modules.get(word.partition(":")[0]), "__file__", None) or shutil.which(word) or word
+    """Return the file of a program, or of the module of a class."""
+    module, is_class, _ = word.partition(":")
+    file = getattr(sys.modules.get(module), "__file__", None) or shutil.which(word) or word
+    if is_class and "/" not in word and module not in sys.modules:  # a class is imported by a process of its own
+        file = getattr(importlib.util.find_spec(module), "origin", None) or ""
     file = file if Path(file).is_file() else ""
     return CodeFile(file, hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "")
 

@@ -56,18 +56,24 @@ def return_freed_memory() -> None:
 
 
 def parallel_map(
-    work: Callable[[Item], Result], items: Iterable[Item], jobs: int | None = None
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    jobs: int | None = None,
+    stop: Callable[[], None] = lambda: None,
 ) -> Generator[Result, None, None]:
     """Do the work on each item in threads, and yield the results in the order of the items.
 
-    The compiled filter and numpy's long loops release the interpreter lock. After an exception or an interrupt, running
-    items are finished and no more are started. By default one thread per core is used.
+    The compiled filter and numpy's long loops release the interpreter lock. After an exception or an interrupt,
+    ``stop`` is called, running items are finished and no more are started. By default one thread per core is used.
     """
     from concurrent.futures import ThreadPoolExecutor  # imports logging
 
     executor = ThreadPoolExecutor(jobs or os.cpu_count())
     try:
         yield from executor.map(work, items)
+    except BaseException:
+        stop()
+        raise
     finally:
         executor.shutdown(cancel_futures=True)
 

@@ -4,8 +4,9 @@
 columns of the fields, for each role. `read` joins the two. `write` goes the other way.
 """
 
+from insdvl_replay.logs.formats.mcap_file import MAGIC
 from insdvl_replay.logs.formats.recording import name_giver
-from insdvl_replay.logs.read import read_dive
+from insdvl_replay.logs.read import read_dive, read_solution
 from insdvl_replay.logs.write import write_dive, write_replay
 
-__all__ = ["name_giver", "read_dive", "write_dive", "write_replay"]
+__all__ = ["MAGIC", "name_giver", "read_dive", "read_solution", "write_dive", "write_replay"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, Solution
 from insdvl_replay.core.dive_columns import (
     Dive,
     DvlColumns,
@@ -46,6 +46,7 @@ from insdvl_replay.logs.columns.topics import (
 )
 from insdvl_replay.logs.formats.definitions import missing_types
 from insdvl_replay.logs.formats.log_file import COPY_AGAIN, LogChannel, by_topic
+from insdvl_replay.logs.formats.mcap_file import MAGIC
 from insdvl_replay.logs.formats.recording import open_recording
 
 
@@ -107,6 +108,28 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         channels=channels,
         notes=tuple(notes),
     )
+
+
+def read_solution(path: Path) -> tuple[SolutionColumns, list[Note]]:
+    """Read a solution from a file of its own: from a log with one topic of a known type, or from a TUM file.
+
+    A log may have a second topic with the geographic positions.
+    """
+    with path.open("rb") as file:
+        if not file.read(len(MAGIC)).startswith(MAGIC):
+            return read_tum(path, Solution(), "solution")
+    log = open_recording(path)
+    topics = Topics(str(path), log.channels)
+    fix, required = requirement("solution", Solution(), "fix"), requirement("solution", Solution())
+    fixes = topics.candidates(fix, ())
+    named = [topic for topic in by_topic(log.channels) if topic not in fixes]
+    wanted = [topics.source(required, topic) for topic in named or fixes]
+    if len(wanted) != 1 or len(fixes) > 1:
+        text = f"has {len(named)} topics beside {len(fixes)} fixes"
+        raise LogError(text, "write one topic, such as nav_msgs/Odometry, and at most one of NavSatFix", path)
+    sources = [*wanted, *(topics.source(fix, topic) for topic in fixes if named)]
+    with log.watched():
+        return decode_solution(read_tables(log, sources), Solution())
 
 
 def source_notes(sources: Sequence[Source]) -> Iterator[Note]:

@@ -19,10 +19,11 @@ Every table has rows for it, by its name.
 
 import importlib
 import inspect
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -33,6 +34,8 @@ from insdvl_replay.core.runtime import plain
 Predict = Callable[[Floats, Floats, Floats], None]
 Predicts = Callable[[int, Floats, Floats, Floats], None]
 """Several predictions, of which the number in front chooses one."""
+
+Kind = TypeVar("Kind")
 
 INS_SIZE: Final = 21
 """Numbers of ``ins``: position (rad, rad, m), velocity_n, mat_nb row by row, specific_force_b, rate_eb_b."""
@@ -83,20 +86,35 @@ class UserMeasurement:
         raise NotImplementedError
 
 
-def load_user_measurement(word: str) -> UserMeasurement:
-    """Import a measurement by ``module:Class``; a ValueError says why that fails."""
+def load_class(word: str, base: type[Kind]) -> type[Kind]:
+    """Import a class by ``module:Class``, derived from a base; a ValueError says why that fails."""
     module, _, name = word.partition(":")
     try:
         imported: Any = importlib.import_module(module)
     except (Exception, SystemExit) as error:
         kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
         raise ValueError(f"cannot be imported: {kind}{error}") from error
-    if not hasattr(imported, name):
+    found = getattr(imported, name, None)
+    if found is None:
         near = get_close_matches(name, vars(imported), n=1)
         raise ValueError(f"is not in {module}" + (f"; the nearest name is {near[0]}" if near else ""))
-    found = getattr(imported, name)
-    if not (isinstance(found, type) and issubclass(found, UserMeasurement)):
-        raise ValueError("is not a class derived from UserMeasurement")
+    if not (isinstance(found, type) and issubclass(found, base)):
+        raise ValueError(f"is not a class derived from {base.__name__}")
+    return found
+
+
+def failure_text(error: BaseException, kind: type) -> str:
+    """Return where the code of a class raised an exception, and which: ``in line 3 of mine.py: ValueError: ...``."""
+    file = getattr(importlib.import_module(kind.__module__), "__file__", None)
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == file]
+    where = f" in line {lines[-1]} of {file}" if lines else ""
+    return f"{where}: {type(error).__name__}" + (f": {error}" if str(error) else "")
+
+
+def load_user_measurement(word: str) -> UserMeasurement:
+    """Import a measurement by ``module:Class`` and make one; a ValueError says why that fails."""
+    found = load_class(word, UserMeasurement)
     try:
         user = found()
     except (Exception, SystemExit) as error:

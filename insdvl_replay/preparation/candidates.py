@@ -3,18 +3,14 @@
 A mistake in the user's code is a `CandidateError`. Its candidate is then not evaluated, and all others go on.
 """
 
-import importlib
-import traceback
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Final
 
 import numpy as np
 
 from insdvl_replay.core.config import Solution as SolutionSettings
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
-    Dive,
     Floats,
     ImuColumns,
     ReferenceColumns,
@@ -31,46 +27,13 @@ from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.geometry.rotation import vector_from_mat
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
+from insdvl_replay.nav.user_candidate import CandidateError, Solution
+from insdvl_replay.preparation.solution_files import MOST_COVARIANCES, MOTION
 from insdvl_replay.preparation.solutions import recorded_history
 
-MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
 COMPARED_S: Final = 10.0  # over which turns are compared with those of the baseline
 # A solution that differs more from the baseline is of another dive: no filter turns otherwise than its gyros.
 FARTHEST_START_M, LARGEST_TURN_DEG, LARGEST_SPEED = 100.0, 5.0, 0.5
-_SHAPES: Final = {"position": (3,), "velocity_n": (3,), "mat_nb": (3, 3), "innovation_b": (3,)}
-_WORDS: Final = {"position": "positions", "velocity_n": "velocities", "mat_nb": "attitudes"}
-
-
-def load_candidate(word: str) -> type[Candidate]:
-    """Import a class by ``module:Class``."""
-    module, _, name = word.partition(":")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (Exception, SystemExit) as error:
-        kind = "" if isinstance(error, ImportError | AttributeError) else f"{type(error).__name__}: "
-        raise CandidateError(f"{word} cannot be imported: {kind}{error}") from error
-    if not (isinstance(found, type) and callable(getattr(found, "run", None))):
-        raise CandidateError(f"{word} is not a class with a method run(self, dive, start)")
-    return found
-
-
-def run_class(word: str, dive: Dive, start: CandidateStart) -> Solution:
-    """Run a class over a dive, from a start."""
-    try:
-        solution = load_candidate(word)().run(dive, start)
-    except CandidateError:
-        raise
-    except (Exception, SystemExit) as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f"line {last.lineno} of {Path(last.filename).name}"
-        raise CandidateError(f"{word} fails in {where}: {type(error).__name__}: {error}") from error
-    if not isinstance(solution, Solution):
-        raise CandidateError(f"run of {word} returns {type(solution).__name__}, not Solution")
-    return solution
-
-
-# --- From a solution to a history.
 
 
 def history_of_candidate(
@@ -83,14 +46,13 @@ def history_of_candidate(
     baseline: History,  # of the same dive
     evaluated_ns: TimeNs,  # (c,), times at which errors are judged by P
 ) -> tuple[History, tuple[Note, ...]]:
-    """Check a solution and interpolate it at the times of the baseline.
+    """Interpolate a solution at the times of the baseline.
 
     It holds the start where its own first row is later. A `CandidateError` says what is wrong with it.
     """
     key = f"filters.{name}"
-    columns = _columns(_checked(solution), start, start_ns, int(baseline.time_ns[-1]))
+    columns = _columns(solution, start, start_ns, int(baseline.time_ns[-1]))
     history, _, notes = recorded_history(name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key)
-    _require_whole(history)
     _require_this_dive(history, baseline)
     met = _innovations(solution, velocities)
     return replace(history, has_own_start=False, innovations=() if met is None else (met,)), notes
@@ -102,39 +64,6 @@ def failed_history(name: str, reason: str, baseline: History, imu: ImuColumns) -
     columns = SolutionColumns(empty, None, empty.time_ns, np.empty((0, 9, 9)))
     history, *_ = recorded_history(name, columns, SolutionSettings(), imu, baseline, empty.time_ns)
     return replace(history, failure=f"{name} {reason}")
-
-
-def _checked(solution: Solution) -> Solution:
-    """Require increasing times, and finite numbers of the right shapes."""
-
-    def wrong(text: str) -> NoReturn:
-        raise CandidateError(f"gives a solution with {text}")
-
-    time_ns = np.asarray(solution.time_ns)
-    if time_ns.ndim != 1 or not len(time_ns):
-        wrong("no row")
-    if time_ns.dtype.kind not in "iu" or np.any(np.diff(time_ns) <= 0):
-        wrong("times that are not increasing whole nanoseconds")
-    columns = dict[str, Any]()
-    shapes = {**_SHAPES, "cov": (9, 9), "innovation_cov": (3, 3)}
-    for name, shape in shapes.items():
-        if (given := getattr(solution, name)) is None:
-            continue
-        try:
-            values = columns[name] = np.asarray(given, np.float64)
-        except (TypeError, ValueError):
-            wrong(f"{name} that is not an array of numbers")
-        count = len(solution.cov_ns) if name == "cov" and solution.cov_ns is not None else len(time_ns)
-        if values.shape != (count, *shape):
-            wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")
-        bad = np.flatnonzero(~np.isfinite(values.reshape(count, -1)).all(axis=1))
-        if name == "position":  # without a height it is a position all the same
-            bad = np.flatnonzero(~np.isfinite(values[:, :2]).all(axis=1))
-        if name in _WORDS and len(bad):
-            wrong(f"{_WORDS[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
-    if not set(columns) & set(_WORDS):
-        wrong("no position, no velocity and no attitude")
-    return replace(solution, time_ns=time_ns.astype(np.int64), **columns)
 
 
 def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> SolutionColumns:
@@ -165,30 +94,20 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
     return SolutionColumns(ReferenceColumns(motion_ns, **columns), None, cov_ns, cov)
 
 
-def _known(history: History) -> dict[str, Any]:
+def _require_this_dive(history: History, baseline: History) -> None:
+    """Require that a solution covers the replay, begins at the start, and turns and moves as the baseline does."""
     columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
     columns["mat_nb"] = history.mat_nb[:, 0, 0]
-    known = {name: np.isfinite(column) for name, column in columns.items()}
-    return {name: rows for name, rows in known.items() if rows.any()}
-
-
-def _require_whole(history: History) -> None:
-    """Require that each quantity of a solution covers the replay."""
-    known = _known(history)
+    known, reason = {name: np.isfinite(column) for name, column in columns.items() if np.isfinite(column).any()}, ""
     if not known:
         raise CandidateError("gives a solution without a row in the time of the replay")
     for name, rows in known.items():
         if (share := float(rows.mean())) < WELL_COVERED:
             last_s, end_s = (seconds(history.time_ns[at], history.time_ns[0]) for at in (np.flatnonzero(rows)[-1], -1))
             raise CandidateError(
-                f"gives {_WORDS[name]} for only {100.0 * share:.0f} % of the replay, the last at {last_s:.1f} of "
+                f"gives {MOTION[name]} for only {100.0 * share:.0f} % of the replay, the last at {last_s:.1f} of "
                 f"{end_s:.1f} s"
             )
-
-
-def _require_this_dive(history: History, baseline: History) -> None:
-    """Require that a solution begins at the start, and turns and moves as the baseline does."""
-    known, reason = _known(history), ""
     if "position" in known:
         row = int(np.argmax(known["position"]))
         apart_m = float(np.hypot(*north_east_m(history.position[row], baseline.position[row], baseline.position[row])))

@@ -1,12 +1,10 @@
 """User-defined measurements: imported, asked for their readings of a dive, and prepared like those of a sensor.
 
 They are given no data that is held back from the filters. A held-out sensor is absent from their dive. For the DVL
-outage test they are asked again, on a dive that ends with the outage and lacks its pings. A mistake in the user's code
+outage test they are asked again, on a dive that ends with the outage and lacks its pings. An error in the user's code
 becomes a sentence; compiled code neither raises nor checks that a column of H exists, so H is tried once uncompiled.
 """
 
-import sys
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -33,6 +31,7 @@ from insdvl_replay.nav.user_measurement import (
     UserReadings,
     checked_readings,
     compiled_prediction,
+    failure_text,
     joined,
     load_user_measurement,
 )
@@ -138,11 +137,7 @@ def _called(plugin: str, user: UserMeasurement, what: str, call: Callable[[], _T
     except UserError:
         raise
     except (Exception, SystemExit) as error:  # sys.exit would end the run without a message
-        file = getattr(sys.modules[type(user).__module__], "__file__", None)
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-        line = f" in line {lines[-1]} of {file}" if lines else ""
-        kind = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        raise ConfigError(f"{plugin}: {what} fails{line}: {kind}", hint) from error
+        raise ConfigError(f"{plugin}: {what} fails{failure_text(error, type(user))}", hint) from error
 
 
 def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:

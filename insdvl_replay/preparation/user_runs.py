@@ -6,16 +6,12 @@ the pings of every third window. The baseline runs over the same dives, so that 
 """
 
 import hashlib
+import pickle
 import tempfile
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stderr, redirect_stdout
-from copy import deepcopy
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from io import StringIO
-from os import cpu_count
 from pathlib import Path
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 from msgspec.structs import replace as changed
@@ -24,7 +20,7 @@ from insdvl_replay.core.config import Config, Filter
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
-from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.core.runtime import parallel_map, report_stage
 from insdvl_replay.evaluation.evaluate import with_solutions
 from insdvl_replay.evaluation.outage_test import (
     OutagePlan,
@@ -37,22 +33,18 @@ from insdvl_replay.evaluation.outage_test import (
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.logs import write_dive
-from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
-from insdvl_replay.preparation.candidates import failed_history, history_of_candidate, run_class
+from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart
+from insdvl_replay.preparation.candidates import failed_history, history_of_candidate
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import given_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.preparation.programs import TIMEOUT_S, Program
+from insdvl_replay.preparation.programs import CLASS_DIVE, PROGRAM_DIVE, UserProcesses
 from insdvl_replay.preparation.run import BuiltInFilter, RunDive, RunPlan, Runs, drawn_part, prepared_timeline
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
 OUTAGE_DIVES: Final = 3  # each lacks every third window: the time between two of them is twice as long as a window
 LONGEST_WINDOW_S, FEWEST_WINDOWS = 60, 6  # the longest windows of which there are so many, else the shortest
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -94,7 +86,9 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-") as folder:
         for test in (whole, *outage_dives):
             if any(settings.program for settings in config.user_candidates.values()):
-                write_dive(Path(folder, f"{test.name}.mcap"), test.dive)
+                write_dive(Path(folder, PROGRAM_DIVE.format(test.name)), test.dive)
+            if any(settings.candidate for settings in config.user_candidates.values()):
+                Path(folder, CLASS_DIVE.format(test.name)).write_bytes(pickle.dumps(test.dive))
         for name, settings in config.user_candidates.items():
             report_stage(f"running {name}")
             candidate = _Candidate(name, settings, Path(folder), plan)
@@ -102,12 +96,14 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
                 found = candidate.runs(whole, starts, part, outage_dives, windows)
             except CandidateError as error:
                 found = UserRun(failed_history(name, str(error), whole.baseline, whole.dive.imu), None, None, ())
+            finally:
+                candidate.processes.stop()
             histories.append(found.history)
             drawn += [] if found.drawn is None else [found.drawn]
             drawn = list(with_solutions(drawn, [found.history], dive)) if plan.starts else drawn
             outages |= {} if found.outages is None else {name: found.outages}
             notes += found.notes
-            printed |= {name: text} if (text := candidate.printed) else {}
+            printed |= {name: text} if (text := candidate.processes.printed) else {}
     return replace(
         runs, histories=tuple(histories), drawn=tuple(drawn), notes=tuple(notes), user_outages=outages, printed=printed
     )
@@ -117,45 +113,25 @@ class _Candidate:
     """One filter of the user's: a program or a class."""
 
     def __init__(self, name: str, settings: Filter, folder: Path, plan: RunPlan) -> None:
-        self.name, self.word, self.plan, self.folder = name, settings.candidate or "", plan, folder
-        self.program, self._printed = None, StringIO()
-        if settings.program is not None:
-            (own := folder / name).mkdir()
-            self.program = Program(settings.program, settings.timeout_s or TIMEOUT_S, own)
-
-    @property
-    def printed(self) -> str:
-        """Everything that its runs have printed."""
-        texts = self.program.printed if self.program is not None else {"": self._printed.getvalue()}
-        return "".join(texts[run] for run in sorted(texts))
-
-    def solution(self, test: GivenDive, run: str, start: Start) -> Solution:
-        """Run it over a dive."""
-        alignment, known = (
-            test.prepared.alignment,
-            {column.name: getattr(start, column.name) for column in fields(Start)},
-        )
-        sd_m = () if alignment.initial is None else alignment.initial.position_sd_m
-        given = CandidateStart(
-            **known,
-            time_ns=alignment.start_ns,
-            dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
-            position_sd_m=np.array(sd_m or (1.0, 1.0, 1.0)),
-        )
-        if self.program is not None:
-            return self.program.run(run, self.folder / f"{test.name}.mcap", given)
-        with redirect_stdout(self._printed), redirect_stderr(self._printed):
-            # A class may change the arrays that it is given.
-            return run_class(self.word, deepcopy(test.dive), given)
+        self.name, self.plan, self.folder = name, plan, folder
+        self.file_name = PROGRAM_DIVE if settings.program else CLASS_DIVE
+        self.processes = UserProcesses(settings, folder / name)
 
     def history(self, test: GivenDive, run: str, start: Start) -> tuple[History, tuple[Note, ...], str]:
         """Run it over a dive; return its history, notes, and a digest of its solution."""
-        solution, begun = self.solution(test, run, start), replace(test.prepared.alignment, start=start)
+        alignment = test.prepared.alignment
+        given = CandidateStart(
+            **{column.name: getattr(start, column.name) for column in fields(Start)},
+            time_ns=alignment.start_ns,
+            dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
+            position_sd_m=np.array(alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)),
+        )
+        solution = self.processes.run(run, self.folder / self.file_name.format(test.name), given)
         digest = hashlib.sha256()
         for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
             digest.update(b"" if column is None else np.ascontiguousarray(column).tobytes())
         history, notes = history_of_candidate(
-            self.name, solution, begun.start, begun.start_ns, test.dive.imu, test.prepared.velocities, test.baseline,
+            self.name, solution, start, alignment.start_ns, test.dive.imu, test.prepared.velocities, test.baseline,
             self.plan.evaluated_ns,
         )  # fmt: skip
         return history, notes, digest.hexdigest()
@@ -179,42 +155,25 @@ class _Candidate:
         def in_outages(test: GivenDive) -> History:
             return self.history(test, test.name, starts[0])[0]
 
-        ((history, first, notes, digest),) = self.each(from_start, [0])  # a mistake of its own shows at the first run
+        history, first, notes, digest = from_start(0)  # a mistake of its own shows at the first run
         assert history is not None
-        others = self.each(from_start, range(1, len(starts)))
+        others = list(parallel_map(from_start, range(1, len(starts)), stop=self.processes.stop))
         drawn = None if first is None else drawn_errors([first, *(errors for _, errors, *_ in others if errors)])
         if others and all(other == digest for *_, other in others):
             notes = (*notes, note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"))
         has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()
         if windows is None or not has_attitude:
             return UserRun(history, drawn, None, notes)
-        own = self.each(in_outages, outage_dives)
-        pairs = ([test.baseline for test in outage_dives], own)
-        baseline, candidate = (_drifts(outage_dives, found, whole.prepared, windows) for found in pairs)
+        own = list(parallel_map(in_outages, outage_dives, stop=self.processes.stop))
         velocities = whole.prepared.velocities
-        return UserRun(
-            history,
-            drawn,
-            OutageRuns(
-                _plan_of(velocities, windows),
-                distance_along_m(velocities.time_ns, velocities.velocity_b),
-                {whole.baseline.filter: baseline, self.name: candidate},
-            ),
-            notes,
-        )
-
-    def each(self, work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """Do the work on each item: of a program at the same time, of a class one after the other."""
-        if self.program is None:
-            return [work(item) for item in items]
-        executor = ThreadPoolExecutor(cpu_count())
-        try:
-            return list(executor.map(work, items))
-        except BaseException:
-            self.program.stop()
-            raise
-        finally:
-            executor.shutdown(cancel_futures=True)
+        drifts = {
+            name: _drifts(outage_dives, found, whole.prepared, windows)
+            for name, found in ((whole.baseline.filter, [test.baseline for test in outage_dives]), (self.name, own))
+        }
+        none = np.empty(0, np.int64)
+        plan = OutagePlan(velocities.time_ns, (windows,), Windows(windows.window_s, none, none, 0))
+        distance_m = distance_along_m(velocities.time_ns, velocities.velocity_b)
+        return UserRun(history, drawn, OutageRuns(plan, distance_m, drifts), notes)
 
 
 def _given(dive: Dive, prepared: Prepared) -> Dive:
@@ -240,21 +199,14 @@ def _windows(plan: OutagePlan) -> Windows | None:
     return next(iter([*enough[::-1], *short]), None)
 
 
-def _plan_of(velocities: DvlVelocities, windows: Windows) -> OutagePlan:
-    none = np.empty(0, np.int64)
-    return OutagePlan(velocities.time_ns, (windows,), Windows(windows.window_s, none, none, 0))
-
-
 def _outage_dives(dive: Dive, prepared: Prepared, config: Config, windows: Windows | None) -> list[GivenDive]:
     """Make dives that lack the pings of every third window, and run the baseline over them."""
     found, ping_ns, alignment = list[GivenDive](), prepared.velocities.time_ns, prepared.alignment
     settings = changed(config, initial=alignment.initial or config.initial)
-    for number in range(OUTAGE_DIVES if windows is not None else 0):
+    for number in range(0 if windows is None else min(OUTAGE_DIVES, len(windows.first))):
         assert windows is not None
         rows = range(number, len(windows.first), OUTAGE_DIVES)
         spans = [(int(windows.first[row]), int(windows.last[row])) for row in rows]
-        if not spans:
-            continue
         given = given_dive(dive, config, [(int(ping_ns[first]), int(ping_ns[last])) for first, last in spans])
         part = replace(prepare_dive(given, settings), alignment=alignment, end_ns=prepared.end_ns)
         # Known at the samples around each absent ping, where the filter has a node in any case.

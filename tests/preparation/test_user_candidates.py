@@ -1,8 +1,10 @@
 """Filters of the user's: a program or a class gets the evidence of any candidate, and its failures change no other."""
 
 import json
+import os
 import re
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,13 @@ from insdvl_replay.core.dive_columns import Dive, DvlColumns
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.tables import EvidenceRow, each_table
 from insdvl_replay.core.words import Verdict
+from insdvl_replay.geometry.frames import moved_position, north_east_down_m, quat_enu_flu
 from insdvl_replay.logs import read_dive, write_dive
+from insdvl_replay.logs.write import components, stamped, write_log
 from insdvl_replay.nav.dvl import dvl_velocities
-from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
-from insdvl_replay.preparation.programs import read_solution, run_as_program, write_solution
+from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
+from insdvl_replay.preparation.programs import run_as_program
+from insdvl_replay.preparation.solution_files import read_solution, write_solution
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -181,6 +186,18 @@ def test_a_program_that_hangs_is_ended(dive: Dive, tmp_path: Path) -> None:
     assert "now\n" in replay.printed["mine"]
 
 
+@pytest.mark.parametrize("end", ["sys.exit(0)", "os.abort()"])
+def test_what_a_program_has_started_ends_with_it(end: str, dive: Dive, tmp_path: Path) -> None:
+    script = "import os, subprocess\nchild = subprocess.Popen(['sleep', '77'])\n"
+    script += f"pathlib.Path({str(tmp_path)!r}, 'pid').write_text(str(child.pid))\n"
+    replay_dive(dive, config(program(tmp_path, script + end)))
+    child = Path("/proc", (tmp_path / "pid").read_text(), "stat")
+    until = time.monotonic() + 5.0
+    while child.exists() and child.read_text().split()[2] != "Z" and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not child.exists() or child.read_text().split()[2] == "Z"
+
+
 def test_a_program_that_is_not_there(dive: Dive) -> None:
     replay = replay_dive(dive, config(Filter(program=("./nowhere", "{dive}", "{solution}"))))
     assert "cannot be started: ./nowhere: No such file" in replay.verdicts["mine"].sentence
@@ -204,20 +221,52 @@ class Failing(Candidate):
         raise ZeroDivisionError("here")
 
 
+class Leaving(Candidate):
+    """A class that prints past Python, and ends its process."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """End."""
+        os.write(1, b"to the descriptor\n")
+        os._exit(7)
+
+
+class Unfinished(Candidate):
+    """A class without a result."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Return nothing."""
+        return None  # type: ignore[return-value]
+
+
+@pytest.mark.parametrize(
+    ("word", "reason", "printed"),
+    [
+        ("Failing", "test_user_candidates.py: ZeroDivisionError: here", "before\n"),
+        ("Leaving", "ended with exit code 7", "to the descriptor\n"),
+        ("Unfinished", "returns NoneType, not Solution", ""),
+    ],
+)
+def test_a_class_that_fails(
+    word: str, reason: str, printed: str, dive: Dive, alone: Replay, capfd: pytest.CaptureFixture[str]
+) -> None:
+    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:{word}")))
+    assert reason in replay.verdicts["mine"].sentence
+    assert rows_of_others(replay) == rows_of_others(alone)
+    assert replay.printed.get("mine", "") == printed
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize(
     ("word", "reason"),
     [
-        (f"{__name__}:Failing", "ZeroDivisionError: here"),
-        (f"{__name__}:Missing", "has no attribute 'Missing'"),
-        ("not_there:Mine", "No module named 'not_there'"),
-        (f"{__name__}:config", "is not a class"),
+        (f"{__name__}:Failng", "is not in test_user_candidates; the nearest name is Failing"),
+        ("not_there:Mine", "cannot be imported: No module named 'not_there'"),
+        (f"{__name__}:config", "is not a class derived from Candidate"),
     ],
 )
-def test_a_class_that_fails(word: str, reason: str, dive: Dive, alone: Replay) -> None:
-    replay = replay_dive(dive, config(Filter(candidate=word)))
-    assert reason in replay.verdicts["mine"].sentence
-    assert rows_of_others(replay) == rows_of_others(alone)
-    assert replay.printed.get("mine", "") == ("before\n" if "Failing" in word else "")
+def test_a_class_that_is_not_there_is_a_mistake_in_the_settings(word: str, reason: str, dive: Dive) -> None:
+    with pytest.raises(ConfigError, match=re.escape(f"{word} {reason}")):
+        replay_dive(dive, config(Filter(candidate=word)))
 
 
 class Scaling(Candidate):
@@ -296,27 +345,29 @@ def test_the_example_as_a_class_is_evaluated(dive: Dive, monkeypatch: pytest.Mon
     assert evidence(replay)["drift_30s"].value < 1.0
 
 
-def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path: Path) -> None:
-    """The same filter as a class, and by the files that a program reads and writes."""
+def start_of(dive: Dive) -> CandidateStart:
     assert dive.reference is not None
-    start = CandidateStart(
-        *(
-            dive.reference.position[0],
-            dive.reference.velocity_n[0],
-            dive.reference.mat_nb[0],
-            np.diag(np.full(12, 1e-6)),
-        ),
+    return CandidateStart(
+        dive.reference.position[0],
+        dive.reference.velocity_n[0],
+        dive.reference.mat_nb[0],
+        np.diag(np.full(12, 1e-6)),
         np.full(3, 0.01),
         np.full(3, 1e-5),
         time_ns=int(dive.imu.time_ns[0]),
         dvl_lever_arm_b=np.array([1.0, -0.2, 0.3]),
     )
+
+
+def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path: Path) -> None:
+    """The same filter as a class, and by the files that a program reads and writes."""
+    start = start_of(dive)
     velocities = dvl_velocities(dive.dvl)
     given = Dive("dive", dive.imu, DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b))
     write_dive(tmp_path / "dive.mcap", given)
     (tmp_path / "start.json").write_text(start.to_json())
     run_as_program(Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution.csv")
-    read, direct = read_solution(tmp_path / "solution.csv"), Baseline().run(given, start)
+    read, direct = read_solution(tmp_path / "solution.csv", start), Baseline().run(given, start)
     np.testing.assert_array_equal(read.time_ns, direct.time_ns)
     np.testing.assert_allclose(read.velocity_n, direct.velocity_n, atol=1e-9)
     np.testing.assert_allclose(read.position, direct.position, atol=1e-12)
@@ -327,12 +378,82 @@ def test_standard_deviations_of_a_file_become_a_covariance(tmp_path: Path) -> No
     names = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps", "roll_deg", "pitch_deg", "heading_deg")
     header = ",".join(["time_ns", *names, *(f"{name}_sd" for name in names)])
     (tmp_path / "a.csv").write_text(f"{header}\n5,1,0,0,0,0,90,0.1,0.2,0.3,1,2,3\n")
-    cov = read_solution(tmp_path / "a.csv").cov
+    cov = read_solution(tmp_path / "a.csv", start_of(simulate_dive("straight", duration_s=20.0))).cov
     assert cov is not None
     np.testing.assert_allclose(np.diagonal(cov[0])[:3], [0.01, 0.04, 0.09])
     # At a heading of 90 deg, roll is about east and pitch about south.
     np.testing.assert_allclose(np.sqrt(np.diagonal(cov[0])[3:6]), np.deg2rad([2.0, 1.0, 3.0]))
     assert np.isnan(np.diagonal(cov[0])[6:]).all()
+
+
+# --- Other formats.
+
+
+def write_odometry(path: Path, solution: Solution, origin: np.ndarray, *, fix: bool) -> None:
+    """Write what nodes of ROS 2 publish: odometry from an origin of its own, and fixes."""
+    assert solution.position is not None
+    assert solution.velocity_n is not None
+    assert solution.mat_nb is not None
+    time_ns, quat = solution.time_ns, quat_enu_flu(solution.mat_nb)
+    enu_m = north_east_down_m(solution.position, np.broadcast_to(origin, solution.position.shape))[:, [1, 0, 2]]
+    twist_b = np.einsum("kji,kj->ki", solution.mat_nb, solution.velocity_n) * [1.0, -1.0, -1.0]
+    columns = {
+        **components("pose.pose.position", enu_m * [1.0, 1.0, -1.0]),
+        **components("pose.pose.orientation", quat, "xyzw"),
+        **components("twist.twist.linear", twist_b),
+        **components("twist.twist.angular", 0.0),
+        "pose.covariance": tuple(np.diag([4.0, 4.0, 4.0, 1e-4, 1e-4, 1e-4]).ravel()),
+        "twist.covariance": tuple(np.diag([0.01] * 6).ravel()),
+    }
+    batches = [stamped("/odometry", "nav_msgs/msg/Odometry", time_ns, "odom", columns)]
+    if fix:
+        latitude_deg, longitude_deg = np.rad2deg(solution.position[:, :2]).T
+        columns = {"latitude": latitude_deg, "longitude": longitude_deg, "altitude": solution.position[:, 2]}
+        batches.append(stamped("/fix", "sensor_msgs/msg/NavSatFix", time_ns, "base_link", columns))
+    write_log(path, batches, {})
+
+
+@pytest.mark.parametrize("kind", ["odometry", "odometry with fixes", "tum"])
+def test_solutions_in_other_formats_are_recognised_by_their_first_bytes(kind: str, dive: Dive, tmp_path: Path) -> None:
+    assert dive.reference is not None
+    start, path = start_of(dive), tmp_path / "solution"
+    motion = dive.reference.rows(np.arange(0, len(dive.reference.time_ns), 5))
+    solution = Solution(motion.time_ns, motion.position, motion.velocity_n, motion.mat_nb)
+    origin = moved_position(start.position, np.array([30.0, -20.0, 5.0]))
+    if kind == "tum":
+        enu_m = north_east_down_m(motion.position, np.broadcast_to(origin, motion.position.shape))[:, [1, 0, 2]]
+        poses = np.column_stack([enu_m * [1.0, 1.0, -1.0], quat_enu_flu(motion.mat_nb)])
+        times = [f"{time // 10**9}.{time % 10**9:09d}" for time in motion.time_ns.tolist()]
+        rows = (f"{time} {' '.join(map(repr, row))}\n" for time, row in zip(times, poses.tolist(), strict=True))
+        path.write_text("# time x y z qx qy qz qw\n" + "".join(rows))
+    else:
+        write_odometry(path, solution, origin, fix="fixes" in kind)
+    read = read_solution(path, start)
+    np.testing.assert_array_equal(read.time_ns, solution.time_ns)
+    assert read.position is not None
+    off_m = north_east_down_m(read.position, motion.position)
+    np.testing.assert_allclose(off_m, 0.0, atol=1e-3)
+    np.testing.assert_allclose(read.mat_nb, motion.mat_nb, atol=1e-9)
+    if kind == "tum":
+        assert read.velocity_n is read.cov is None
+        return
+    np.testing.assert_allclose(read.velocity_n, motion.velocity_n, atol=1e-9)
+    assert read.cov is not None
+    np.testing.assert_allclose(np.diagonal(read.cov[0])[3:], [1e-4] * 3 + [4.0] * 3)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n", "an earlier time than the line above"),
+        (b"5 0 0 0\n", "line 1 is no pose"),
+        (b"\x89MCAP0\r\n", "cannot be read"),
+    ],
+)
+def test_files_that_are_no_solutions(content: bytes, reason: str, dive: Dive, tmp_path: Path) -> None:
+    (tmp_path / "solution").write_bytes(content)
+    with pytest.raises(CandidateError, match=reason):
+        read_solution(tmp_path / "solution", start_of(dive))
 
 
 @pytest.mark.nightly

@@ -1,0 +1,194 @@
+"""Files of solutions: what a program writes as CSV, MCAP or TUM, and what the tool writes of a class as CSV.
+
+The first bytes of a file determine its format, not its name.
+"""
+
+import io
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+import numpy as np
+
+from insdvl_replay import logs
+from insdvl_replay.core.config import MOST_BYTES
+from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.errors import LogError, hint_for, read_regular, visible
+from insdvl_replay.core.states import DEG
+from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.frames import moved_position, north_east_down_m
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution, misalignment_cov
+
+MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
+LONGEST_LINE: Final = 200  # letters of what others wrote in a message
+VELOCITY: Final = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps")
+ATTITUDE: Final = ("roll_deg", "pitch_deg", "heading_deg")
+POSITION: Final = ("latitude_deg", "longitude_deg", "height_m")
+INNOVATION: Final = ("innovation_x_mps", "innovation_y_mps", "innovation_z_mps")
+_GROUPS: Final = (POSITION, VELOCITY, ATTITUDE, INNOVATION)
+_COLUMNS: Final = ("time_ns", *(f"{name}{end}" for group in _GROUPS for name in group for end in ("", "_sd")))
+_SHAPES: Final = {
+    "position": (3,), "velocity_n": (3,), "mat_nb": (3, 3), "cov": (9, 9),
+    "innovation_b": (3,), "innovation_cov": (3, 3),
+}  # fmt: skip
+MOTION: Final = {"position": "positions", "velocity_n": "velocities", "mat_nb": "attitudes"}
+
+
+def checked_solution(solution: Solution) -> Solution:
+    """Require increasing times, and finite numbers of the right shapes; a `CandidateError` says what is wrong."""
+
+    def wrong(text: str) -> NoReturn:
+        raise CandidateError(f"gives a solution with {text}")
+
+    time_ns = np.asarray(solution.time_ns)
+    if time_ns.ndim != 1 or not len(time_ns):
+        wrong("no row")
+    if time_ns.dtype.kind not in "iu" or np.any(np.diff(time_ns) <= 0):
+        wrong("times that are not increasing whole nanoseconds")
+    columns = dict[str, Any]()
+    for name, shape in _SHAPES.items():
+        if (given := getattr(solution, name)) is None:
+            continue
+        try:
+            values = columns[name] = np.asarray(given, np.float64)
+        except (TypeError, ValueError):
+            wrong(f"{name} that is not an array of numbers")
+        count = len(solution.cov_ns) if name == "cov" and solution.cov_ns is not None else len(time_ns)
+        if values.shape != (count, *shape):
+            wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")
+        needed = values[:, :2] if name == "position" else values.reshape(count, -1)  # a position may lack its height
+        bad = np.flatnonzero(~np.isfinite(needed).all(axis=1))
+        if name in MOTION and len(bad):
+            wrong(f"{MOTION[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
+    if not set(columns) & set(MOTION):
+        wrong("no position, no velocity and no attitude")
+    if solution.cov_ns is not None:
+        columns["cov_ns"] = np.asarray(solution.cov_ns, np.int64)
+    return replace(solution, time_ns=time_ns.astype(np.int64), **columns)
+
+
+def read_solution(path: Path, start: CandidateStart) -> Solution:
+    """Read the solution of a program; a `CandidateError` says why it cannot be used."""
+    try:
+        data = read_regular(path, MOST_BYTES)
+    except OSError as error:
+        text = "wrote no solution" if isinstance(error, FileNotFoundError) else f"wrote a solution: {error.strerror}"
+        raise CandidateError(text) from error
+    if not data.strip():
+        raise CandidateError("wrote an empty solution")
+    if not data.startswith(logs.MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
+        return checked_solution(_read_csv(data))
+    try:
+        columns, notes = logs.read_solution(path)
+    except LogError as error:
+        raise CandidateError(f"wrote a solution that cannot be read: {visible(error.inside(path))}") from error
+    if wrong := next((note for note in notes if note.severity == Severity.WARNING), None):
+        raise CandidateError(f"wrote a solution that cannot be used: {visible(wrong.text)}")
+    motion, position = columns.motion, columns.motion.position
+    if columns.moved_n is not None:  # from an origin of its own: the first of them is where the program was started
+        from_first = columns.moved_n - columns.moved_n[int(np.argmax(np.isfinite(columns.moved_n).all(axis=1)))]
+        position = moved_position(np.broadcast_to(start.position, from_first.shape), from_first)
+    cov_ns = columns.cov_ns if np.isfinite(columns.cov).any() else None
+    given = position, motion.velocity_n, motion.mat_nb, columns.cov
+    placed, velocity_n, mat_nb, cov = (values if np.isfinite(values).any() else None for values in given)
+    return Solution(motion.time_ns, placed, velocity_n, mat_nb, cov, cov_ns)
+
+
+def _read_csv(data: bytes) -> Solution:
+    """Read a solution as CSV; columns may be missing."""
+    import pandas as pd  # heavy
+
+    try:
+        table = pd.read_csv(io.BytesIO(data), dtype=dict.fromkeys(_COLUMNS[1:], "f8"), index_col=False)
+    except (ValueError, OverflowError) as error:  # pandas' own errors are ValueErrors
+        why = visible(str(error))[:LONGEST_LINE]
+        raise CandidateError(f"wrote a solution that is not CSV of numbers: {why}") from error
+    if table.empty:
+        raise CandidateError("wrote a solution without rows")
+    unknown = next((name for name in map(str, table.columns) if name not in _COLUMNS), None)
+    if unknown is not None:
+        name, hint = visible(unknown)[:LONGEST_LINE], hint_for(unknown, _COLUMNS, most=1)
+        raise CandidateError(f"wrote a solution with the column '{name}', which is not known ({hint})")
+    if "time_ns" not in table:
+        raise CandidateError("wrote a solution without the column time_ns")
+    if table["time_ns"].dtype.kind != "i":
+        raise CandidateError("wrote a solution with times that are not whole nanoseconds")
+    if not data.endswith(b"\n") and table.iloc[-1].isna().any():
+        raise CandidateError(f"wrote a solution that is cut off in line {len(table) + 1}")
+
+    def group(names: tuple[str, ...], end: str = "") -> Floats | None:
+        """Return the columns of a quantity; None where they are missing."""
+        wanted = [f"{name}{end}" for name in names]
+        lacking = [name for name in wanted if name not in table]
+        if names == POSITION and lacking == wanted[2:]:
+            table[wanted[2]], lacking = np.nan, []
+        if lacking and len(lacking) < len(wanted):
+            given = next(name for name in wanted if name in table)
+            raise CandidateError(f"wrote a solution with {given}, but without {' and '.join(lacking)}")
+        return None if lacking else table[wanted].to_numpy(np.float64)
+
+    time_ns, position, rpy = table["time_ns"].to_numpy(np.int64), group(POSITION), group(ATTITUDE)
+    if position is not None:
+        position = position * [DEG, DEG, 1.0]
+    # Covariances at evenly chosen rows. The blocks that are not given are NaN.
+    chosen = slice(None, None, 1 + len(table) // MOST_COVARIANCES)
+    cov = np.zeros((len(time_ns[chosen]), 9, 9))
+    for block, names in enumerate((VELOCITY, ATTITUDE, POSITION)):
+        rows, sd = slice(3 * block, 3 * block + 3), group(names, "_sd")
+        if sd is None:
+            cov[:, rows] = cov[:, :, rows] = np.nan
+            continue
+        sd = sd[chosen]
+        if names == ATTITUDE:
+            cov[:, rows, rows] = misalignment_cov(sd * DEG, np.zeros(len(sd)) if rpy is None else rpy[chosen, 2] * DEG)
+            continue
+        if names == POSITION:
+            here = np.zeros(3) if position is None else np.nan_to_num(position[chosen])
+            sd = np.abs(north_east_down_m(here + sd * [DEG, DEG, 1.0], here))
+        cov[:, rows, rows] = sd[:, :, None] ** 2 * np.eye(3)
+    innovation, innovation_sd = group(INNOVATION), group(INNOVATION, "_sd")
+    has_cov = bool(np.isfinite(cov).any())
+    return Solution(
+        time_ns,
+        position,
+        group(VELOCITY),
+        None if rpy is None else mat_from_rpy(rpy * DEG),
+        cov if has_cov else None,
+        time_ns[chosen] if has_cov else None,
+        innovation,
+        None if innovation_sd is None else innovation_sd[:, :, None] ** 2 * np.eye(3),
+    )
+
+
+def write_solution(path: Path, solution: Solution) -> None:
+    """Write a solution as CSV: of covariances the diagonals, if there is one for each row."""
+    import pandas as pd
+
+    position, mat_nb = solution.position, solution.mat_nb
+    rpy = None if mat_nb is None else rpy_from_mat(mat_nb)
+    values = {
+        POSITION: None if position is None else position / [DEG, DEG, 1.0],
+        VELOCITY: solution.velocity_n,
+        ATTITUDE: None if rpy is None else rpy / DEG,
+        INNOVATION: solution.innovation_b,
+    }
+    sds = dict[tuple[str, ...], Floats]()
+    if solution.innovation_cov is not None:
+        sds[INNOVATION] = np.sqrt(np.diagonal(solution.innovation_cov, axis1=1, axis2=2))
+    if solution.cov is not None and solution.cov_ns is None:
+        sd = np.sqrt(np.diagonal(solution.cov, axis1=1, axis2=2))
+        sds[VELOCITY] = sd[:, :3]
+        if rpy is not None:
+            level_nb = mat_from_rpy(rpy * [0.0, 0.0, 1.0])
+            level_cov = np.swapaxes(level_nb, 1, 2) @ solution.cov[:, 3:6, 3:6] @ level_nb
+            sds[ATTITUDE] = np.sqrt(np.diagonal(level_cov, axis1=1, axis2=2)) / DEG
+        if position is not None and np.isfinite(sd[:, 6:]).any():
+            sds[POSITION] = np.abs(moved_position(position, sd[:, 6:]) - position) / [DEG, DEG, 1.0]
+    columns: dict[str, Any] = {"time_ns": solution.time_ns}
+    for names, given in values.items():
+        if given is not None:
+            columns |= dict(zip(names, given.T, strict=True))
+        if names in sds:
+            columns |= {f"{name}_sd": column for name, column in zip(names, sds[names].T, strict=True)}
+    pd.DataFrame(columns).to_csv(path, index=False)
