@@ -101,6 +101,7 @@ schemas: .venv/run.stamp
 	$(BIN)/insdvl-replay schema comparison > schemas/comparison.schema.json
 	$(BIN)/insdvl-replay schema calibration > schemas/calibration.schema.json
 	$(BIN)/insdvl-replay schema check > schemas/check.schema.json
+	$(BIN)/insdvl-replay schema start > schemas/start.schema.json
 	$(BIN)/python docs/generate/row_messages.py
 
 pictures: .venv/run.stamp

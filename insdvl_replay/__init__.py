@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         Result,
         Solution,
         UserMeasurement,
+        UserNoise,
         UserReadings,
         calibrate,
         check,
@@ -61,9 +62,9 @@ if TYPE_CHECKING:
     )  # fmt: skip
 
 __all__ = [
-    "Candidate", "CommandResult", "DiveResult", "DiveResults", "Result", "Solution", "UserMeasurement", "UserReadings",
-    "__version__", "calibrate", "check", "compare", "compare_settings", "inspect", "load_config", "propose",
-    "read_result", "read_results", "replay_log", "run_as_program", "simulate",
+    "Candidate", "CommandResult", "DiveResult", "DiveResults", "Result", "Solution", "UserMeasurement", "UserNoise",
+    "UserReadings", "__version__", "calibrate", "check", "compare", "compare_settings", "inspect", "load_config",
+    "propose", "read_result", "read_results", "replay_log", "run_as_program", "simulate",
 ]  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from insdvl_replay.core.result import Result as Content
 from insdvl_replay.nav.user_candidate import Candidate as Candidate
 from insdvl_replay.nav.user_candidate import Solution as Solution
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
+from insdvl_replay.nav.user_measurement import UserNoise as UserNoise
 from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
 from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, result_file, result_folder
 from insdvl_replay.results.stored_results import read_one_result, read_reports

@@ -129,7 +129,9 @@ def known_reports(
     found = [None] * len(jobs) if force and rerun else parallel_map(_known_report, jobs)
     for job, report in zip(jobs, found, strict=True):
         if isinstance(report, Report):
-            if not rerun and not job.options.config.code:  # no digest is kept of all that code reads
+            # No digest is kept of all that code reads; its version stands for it.
+            filters = job.options.config.filters.values()
+            if not rerun and not any(filter_.code and filter_.version is None for filter_ in filters):
                 known[job.target] = report
             continue
         if isinstance(report, Note):

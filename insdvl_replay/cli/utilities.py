@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _Value = TypeVar("_Value")
 _SHORT_S = 10.0
-SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check")
+SCHEMAS = ("config", "report", "inspection", "study", "comparison", "calibration", "check", "start")
 """Everything with a JSON schema: the settings, `report.json` of a replay and of a study, and the `--format json` output
 of the other commands."""
 
@@ -213,6 +213,7 @@ def json_schema(name: str) -> bytes:
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Report, ResultJson, as_json
     from insdvl_replay.inspection.inventory import Inventory
+    from insdvl_replay.nav.user_candidate import StartFile
     from insdvl_replay.show.render import result_schema
 
     kinds: dict[str, type] = {
@@ -220,6 +221,7 @@ def json_schema(name: str) -> bytes:
         "report": Report,
         "inspection": Inventory,
         "study": ResultJson,
+        "start": StartFile,
         "check": CheckReport,
     }
     if name == "comparison":  # the other schemas do not wait for scipy

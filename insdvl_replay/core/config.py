@@ -346,6 +346,9 @@ class Filter(Section, frozen=True):
         Literal["fixed", "adaptive", "student-t"],
         Comment("R of velocity and beams: fixed | adaptive (from the innovations) | student-t (for outliers)"),
     ] = "fixed"
+    noise_factors: Annotated[
+        str | None, Comment("your noise of the inertial sensors over time: a Python class, module:Class")
+    ] = None
     acceleration: Acceleration | None = None
     solution: Annotated[
         str | Solution | None,
@@ -356,12 +359,25 @@ class Filter(Section, frozen=True):
         Comment("your filter: a program and its arguments, with {dive}, {start} and {solution}"),
     ] = None
     timeout_s: Annotated[Positive | None, Comment("longest time of one run of the program; left out: 600")] = None
+    input: Annotated[
+        Literal["clean", "log"] | None,
+        Comment("clean | log: what {dive} of the program holds, clean readings or the vehicle's log; left out: clean"),
+    ] = None
     candidate: Annotated[str | None, Comment("your filter: a Python class, module:Class")] = None
+    version: Annotated[
+        str | None, Comment("of your code: results are kept until it changes; left out: they are computed each time")
+    ] = None
 
     @property
     def is_user_code(self) -> bool:
         """Whether it is a program or a class of the user's."""
         return self.program is not None or self.candidate is not None
+
+    @property
+    def code(self) -> tuple[str, ...]:
+        """The user's code that it names: ``module:Class``, and the files of a program."""
+        words = [word for word in (*self.aiding, self.noise_factors or "", self.candidate or "") if ":" in word]
+        return (*words, *(word for i, word in enumerate(self.program or ()) if i == 0 or "/" in word))
 
 
 def _default_filters() -> dict[str, Filter]:
@@ -449,12 +465,8 @@ class Config(Section, frozen=True):
 
     @property
     def code(self) -> tuple[str, ...]:
-        """The user's code that filters name: ``module:Class``, and the files of programs."""
-        words = list[str]()
-        for filter_ in self.filters.values():
-            words += [word for word in (*filter_.aiding, filter_.candidate or "") if ":" in word]
-            words += [word for i, word in enumerate(filter_.program or ()) if i == 0 or "/" in word]
-        return tuple(dict.fromkeys(words))
+        """The user's code that filters name."""
+        return tuple(dict.fromkeys(word for filter_ in self.filters.values() for word in filter_.code))
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -466,7 +478,12 @@ class Config(Section, frozen=True):
     def without_code(self) -> "Config":
         """Return the settings without the user's code; a filter without other aiding is left out."""
         kept = {
-            name: msgspec.structs.replace(filter_, aiding=tuple(word for word in filter_.aiding if ":" not in word))
+            name: msgspec.structs.replace(
+                filter_,
+                aiding=tuple(word for word in filter_.aiding if ":" not in word),
+                noise_factors=None,
+                version=None,
+            )
             for name, filter_ in self.filters.items()
             if filter_.solution is not None or any(":" not in word for word in filter_.aiding)
         }

@@ -42,6 +42,8 @@ KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and pl
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
+PROGRAM_KEYS: Final = ("program", "timeout_s", "input", "version")
+CLASS_KEYS: Final = ("candidate", "version")
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
@@ -474,7 +476,9 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
         found: list[tuple[tuple[str | int, ...], str]] = [
             (("aiding", place), word) for place, word in enumerate(filter_.aiding) if ":" in word
         ]
-        found += [(("candidate",), filter_.candidate)] if filter_.candidate is not None else []
+        found += [
+            ((key,), word) for key in ("noise_factors", "candidate") if (word := getattr(filter_, key)) is not None
+        ]
         found += [(("program",), " ".join(filter_.program))] if filter_.program is not None else []
         for path_of_key, word in found:
             key = _dotted("filters", name, *path_of_key)
@@ -519,11 +523,10 @@ def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tu
 def _user_code_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
     """Check that a program or a class is not the baseline, and has no keys of the tool's own filters."""
     program, default = filter_.program, Filter()
-    kind, own = ("candidate", ("candidate",)) if program is None else ("program", ("program", "timeout_s"))
+    kind, own = ("candidate", CLASS_KEYS) if program is None else ("program", PROGRAM_KEYS)
     others = [key for key in Filter.__struct_fields__ if getattr(filter_, key) != getattr(default, key)]
     names = " and ".join(f"{key}.{name}" for name in others if name not in own)
     lacking = [place for place in ("{dive}", "{solution}") if not any(place in word for word in program or ())]
-    module, _, name = (filter_.candidate or "").partition(":")
     example = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
     return [
         (
@@ -535,11 +538,15 @@ def _user_code_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[t
         (program == (), f"{key}.program is empty", example),
         (bool(program and lacking), f"{key}.program has no argument with {' and '.join(lacking)}", example),
         (
-            program is None and not (module and name),
+            program is None and not _is_class(filter_.candidate),
             f"{key}.candidate '{filter_.candidate}' is not of the form module:Class",
             'candidate = "my_package.module:MyFilter"',
         ),
     ]
+
+
+def _is_class(word: str | None) -> bool:
+    return re.fullmatch(r"[^:]+:[^:]+", word or "") is not None
 
 
 def _filter_checks(filter_: Filter, held_out: Sequence[str], key: str) -> list[tuple[bool, str, str]]:
@@ -547,6 +554,19 @@ def _filter_checks(filter_: Filter, held_out: Sequence[str], key: str) -> list[t
     order, window = (acceleration.order, acceleration.window) if acceleration else (0, 1)
     return [
         (not aiding, f"{key}.aiding is empty", 'aiding = ["velocity"]'),
+        (
+            filter_.noise_factors is not None and not _is_class(filter_.noise_factors),
+            f"{key}.noise_factors '{filter_.noise_factors}' is not of the form module:Class",
+            'noise_factors = "my_package.module:MyNoise"',
+        ),
+        *(
+            (
+                getattr(filter_, name) is not None and not filter_.code,
+                f"{key}.{name} has no use without code of yours",
+                "leave it out",
+            )
+            for name in ("version", "input", "timeout_s")
+        ),
         (
             {"velocity", "beams"} <= aiding,
             f"{key} uses every ping twice, as velocity and as beams",
@@ -595,8 +615,8 @@ def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[s
     names = section.__struct_fields__
     if isinstance(section, Filter):
         # Of an onboard solution, a program or a class only its own keys.
-        kinds = (("solution",), ("program", "timeout_s"), ("candidate",))
-        others = tuple(name for name in names if name not in ("program", "timeout_s", "candidate"))
+        kinds = (("solution",), PROGRAM_KEYS, CLASS_KEYS)
+        others = tuple(name for name in names if name not in {*PROGRAM_KEYS, *CLASS_KEYS} - {"version"})
         names = next((keys for keys in kinds if getattr(section, keys[0]) is not None), others)
     for name in names:
         value = getattr(section, name)

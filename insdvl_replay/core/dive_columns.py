@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar, Final, Self, TypeVar
 
 import numpy as np
@@ -226,5 +227,6 @@ class Dive:
     solutions: Mapping[str, SolutionColumns] = field(default_factory=dict)  # by filter
     topics: Mapping[str, SensorColumns] = field(default_factory=dict)  # of ``[topics]``, as the log has them
     sha256: str = ""  # of the log's bytes; empty for a dive that was never a file
+    paths: tuple[Path, ...] = ()  # of the log's files
     channels: tuple[Channel, ...] = ()  # what the log holds
     notes: tuple[Note, ...] = field(default=())  # what was dropped, assumed or found odd while reading

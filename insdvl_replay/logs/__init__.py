@@ -6,7 +6,9 @@ columns of the fields, for each role. `read` joins the two. `write` goes the oth
 
 from insdvl_replay.logs.formats.mcap_file import MAGIC
 from insdvl_replay.logs.formats.recording import name_giver
-from insdvl_replay.logs.read import read_dive, read_solution
-from insdvl_replay.logs.write import write_dive, write_replay
+from insdvl_replay.logs.read import held_back_messages, read_dive, read_solution
+from insdvl_replay.logs.write import copy_log, write_dive, write_replay
 
-__all__ = ["MAGIC", "name_giver", "read_dive", "read_solution", "write_dive", "write_replay"]
+__all__ = [
+    "MAGIC", "copy_log", "held_back_messages", "name_giver", "read_dive", "read_solution", "write_dive", "write_replay"
+]  # fmt: skip

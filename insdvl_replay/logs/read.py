@@ -17,6 +17,7 @@ from insdvl_replay.core.dive_columns import (
     ReferenceColumns,
     SensorColumns,
     SolutionColumns,
+    TimeNs,
     TruthColumns,
 )
 from insdvl_replay.core.dive_record import Channel, Clock, dive_name
@@ -83,6 +84,7 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         )
         for topic, same in sorted(by_topic(log.channels).items())
     )
+    paths = tuple(part.path for part in log.parts)
     del log  # its open chunks are large, and decoding needs the room
     columns = RoleColumns(place, config)
     notes += columns.clock_notes([table.clock() for table in tables])
@@ -105,9 +107,34 @@ def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: boo
         solutions=columns.solutions,
         topics=columns.topics,
         sha256=sha256,
+        paths=paths,
         channels=channels,
         notes=tuple(notes),
     )
+
+
+def held_back_messages(
+    paths: Sequence[Path], config: Config, outages: Sequence[tuple[int, int]]
+) -> dict[str, TimeNs | None]:
+    """Return the log times of the messages that judge a filter, by topic; None stands for all of a topic.
+
+    These are the reference, truth, onboard solutions and held-out sensors, and the DVL in outages, which are spans of
+    its times of validity, without their starts.
+    """
+    log, found, of_dvl = open_recording(paths, allow_damaged=True), dict[str, TimeNs | None](), list[Source]()
+    findings = find_roles(str(log.path), log.channels, config.of_dive(dive_name(log.path)))
+    for source in (source for finding in findings for source in finding.sources):
+        topic = config.topics.get(source.role.removeprefix(LOG_TOPIC))
+        role = (topic and topic.sensor) or source.role
+        if role.startswith(("reference", "truth", "filters.")) or role in config.evaluation.held_out:
+            found[source.topic] = None
+        elif role == "dvl" and outages:
+            of_dvl.append(source)
+    for table in read_tables(log, of_dvl):
+        time_ns = table.time_ns()
+        absent = np.any([(time_ns > before_ns) & (time_ns <= last_ns) for before_ns, last_ns in outages], axis=0)
+        found.setdefault(table.source.topic, table.columns["log_time"][absent, 0])
+    return found
 
 
 def read_solution(path: Path) -> tuple[SolutionColumns, list[Note]]:

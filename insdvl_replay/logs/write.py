@@ -32,8 +32,10 @@ from insdvl_replay.geometry.frames import MAT_FRD_FLU, east_north_up_m, quat_enu
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, turned
 from insdvl_replay.logs.formats.definitions import Definitions, definition_text, parse_definitions
 from insdvl_replay.logs.formats.fields import layout_for_texts
+from insdvl_replay.logs.formats.recording import open_recording
 
 LIBRARY: Final = "insdvl-replay"
+NEVER: Final = np.empty(0, np.int64)
 CHUNK_BYTES: Final = 1024 * 1024  # a chunk is full with the message that exceeds this, before compression
 FRAMES: Final = {
     "ned": "north-east-down at the vehicle",
@@ -172,6 +174,30 @@ def write_log(
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+def copy_log(path: Path, logs: Sequence[Path], held_back: Mapping[str, TimeNs | None]) -> None:
+    """Copy the messages of a log to MCAP, without those at some log times, or with None all, of some topics."""
+    log = open_recording(logs, allow_damaged=True)
+    kept = {channel.id: channel for channel in log.channels if held_back.get(channel.topic, NEVER) is not None}
+    encodings = {channel.encoding for channel in kept.values()}
+    with path.open("wb") as stream:
+        writer, schemas, channels = Writer(stream), dict[tuple[str, str, bytes], int](), dict[int, int]()
+        writer.start("ros2" if "cdr" in encodings else "ros1" if "ros1" in encodings else "", LIBRARY)
+        for channel in kept.values():
+            schema = channel.type_name, channel.schema_encoding, channel.schema_data
+            if schema not in schemas:
+                schemas[schema] = writer.register_schema(*schema) if any(schema) else 0
+            metadata = dict(channel.metadata)
+            channels[channel.id] = writer.register_channel(channel.topic, channel.encoding, schemas[schema], metadata)
+        for block in log.blocks(kept):
+            absent = held_back.get(kept[block.channel_id].topic, NEVER)
+            block = block.part(np.flatnonzero(~np.isin(block.log_time, () if absent is None else absent)))
+            columns = (block.offsets, block.sizes, block.log_time, block.publish_time)
+            for offset, size, log_time, publish_time in zip(*(column.tolist() for column in columns), strict=True):
+                data = bytes(block.buffer[offset : offset + size])
+                writer.add_message(channels[block.channel_id], log_time, data, publish_time)
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _write_messages(writer: Writer, batches: Sequence[_Messages]) -> None:

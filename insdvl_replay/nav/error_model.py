@@ -184,6 +184,25 @@ def add_noise(P: Floats, n: int, noise_density: Floats, dt: float) -> None:
         P[(n + 1) * i] += noise_density[i] * dt
 
 
+class NoiseSteps(NamedTuple):
+    """White noise of the readings beside that of the settings, constant from each of f times to the next."""
+
+    time_s: Floats  # (f,), increasing, from the start of the filter; before the first there is none
+    density_b: Floats  # (f, 6), of accelerometers and gyros along the axes of b
+
+
+@inlined
+def add_noise_of_axes(P: Floats, n: int, mat_nb: Matrix, density_b: Floats, dt: float) -> None:
+    """Add white noise of the readings, of a density of its own on each axis, shape (6,), to P, shape (n * n,)."""
+    for first in range(0, 6, 3):
+        for i in range(3):
+            for j in range(3):
+                density = 0.0
+                for axis in range(3):
+                    density += mat_nb[i][axis] * mat_nb[j][axis] * density_b[first + axis]
+                P[n * (first + i) + first + j] += density * dt
+
+
 @inlined
 def fade(P: Floats, row: int, kept: float) -> None:
     """Let a Gauss-Markov state keep a share of its value: scale its row and column of P, shape (n, n)."""

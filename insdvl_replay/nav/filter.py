@@ -29,8 +29,10 @@ from insdvl_replay.nav.earth_model import HOLD_AFTER_S, NOWHERE, GravityHeight, 
 from insdvl_replay.nav.error_model import (
     TWELVE,
     TWELVE_ALONE,
+    NoiseSteps,
     StateLayout,
     add_noise,
+    add_noise_of_axes,
     fade,
     layout_of,
     position_growth,
@@ -55,7 +57,7 @@ from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import BEAM, DEPTH, InsNow, Measurement, Memory, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import NavState, propagate
 from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
-from insdvl_replay.nav.user_measurement import Predicts
+from insdvl_replay.nav.user_measurement import NoiseFactors, Predicts
 
 BEAMS_TO_AXES: Final = 4.0
 """The square of a velocity error is at most so many times the sum of its squares along the beams of a Janus at 20 deg
@@ -128,6 +130,7 @@ def run_filter(
     *,
     more_states: Collection[str] = (),
     heading_bias_rate_hz: float = 0.0,
+    noise_factors: NoiseFactors | None = None,
     cov_ns: TimeNs | None = None,
 ) -> History:
     """Run one filter over a dive.
@@ -146,6 +149,8 @@ def run_filter(
         Names in `states.MORE_STATES`.
     heading_bias_rate_hz : float
         One over the time in which the heading's bias is forgotten, for a filter that estimates it.
+    noise_factors : NoiseFactors, optional
+        By which the white noise of the readings changes with time.
     cov_ns : ndarray, shape (c,), optional
         Recorded times at which the history keeps all of P, not only its diagonal; others are ignored.
     """
@@ -193,7 +198,11 @@ def run_filter(
     user = min((made.predict for made in measurements if made.predict is not None), key=is_compiled, default=None)
     run, arm_b = _run if user is None or is_compiled(user) else plain(_run), vector(lever_arm_b)
     rate_hz = heading_bias_rate_hz if n > TWELVE else None
-    run(timeline, state, matrices, density, layout, rate_hz, stack, user, arm_b, memory, records, updates)
+    noise = NoiseSteps(np.empty(0), np.empty((0, 6)))
+    if noise_factors is not None:
+        more = np.asarray(noise_density)[:6] * (noise_factors.factors**2 - 1.0)
+        noise = NoiseSteps((noise_factors.time_ns - timeline.event_ns[0]) * 1e-9, more)
+    run(timeline, state, matrices, density, noise, layout, rate_hz, stack, user, arm_b, memory, records, updates)
 
     innovations = []
     for m, made in enumerate(measurements):
@@ -237,6 +246,7 @@ def _run(  # noqa: C901
     state: NavState,
     matrices: Matrices,
     noise_density: tuple[float, ...],
+    more_noise: NoiseSteps,
     layout: StateLayout,
     heading_bias_rate_hz: float | None,  # None for twelve states, so that nothing is compiled for more
     measurements: Stack,
@@ -251,7 +261,7 @@ def _run(  # noqa: C901
     layout = layout if len(noise_density) > TWELVE else TWELVE_ALONE
     P, P_by_row, dx, constants = matrices.P, matrices.P_by_row, matrices.dx, matrices.constants
     now, earth, velocity_after_b, corrected = first_node(timeline), NOWHERE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    gravity = GravityHeight(state.position[2], 0.0, now.time_s)
+    gravity, noise_step = GravityHeight(state.position[2], 0.0, now.time_s), -1
     while True:
         row = timeline.record[now.event] if is_event(timeline, now) else -1
         if row >= 0:
@@ -292,6 +302,11 @@ def _run(  # noqa: C901
                 fade(P, layout.heading_bias, kept)
                 constants[layout.heading_bias - layout.constants] *= kept
         propagate_cov(P_by_row, motion, noise_density, dt)
+        while noise_step + 1 < len(more_noise.time_s) and more_noise.time_s[noise_step + 1] <= before.time_s:
+            noise_step += 1
+        if noise_step >= 0:
+            density_b = more_noise.density_b[noise_step]
+            add_noise_of_axes(P_by_row, len(noise_density), motion.mat_nb, density_b, dt)
         gap = timeline.gap[before.event]
         if gap >= 0:
             add_noise(P_by_row, len(noise_density), timeline.gap_noise_density[gap], dt)

@@ -1,10 +1,11 @@
 """A filter of the user's: a class that makes a solution of a dive and a start, or a program with the same as files."""
 
-import json
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
 
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
 from insdvl_replay.core.states import DEG
@@ -33,6 +34,30 @@ class Solution:
     innovation_cov: Floats | None = None  # (k, 3, 3), their covariance S
 
 
+Axes = tuple[float, float, float]
+
+
+class StartFile(Struct, frozen=True):
+    """The start of a program, in JSON. Each value has its standard deviation under its name with ``_sd``."""
+
+    time_ns: Annotated[int, Meta(description="on the clock of the dive")]
+    latitude_deg: float
+    latitude_deg_sd: float
+    longitude_deg: float
+    longitude_deg_sd: float
+    height_m: Annotated[float, Meta(description="above the ellipsoid")]
+    height_m_sd: float
+    velocity_ned_mps: Annotated[Axes, Meta(description="of the IMU: north, east, down")]
+    velocity_ned_mps_sd: Axes
+    roll_pitch_heading_deg: Axes
+    roll_pitch_heading_deg_sd: Axes
+    accelerometer_bias_mps2: Annotated[Axes, Meta(description="reading minus true: forward, starboard, down")]
+    accelerometer_bias_mps2_sd: Axes
+    gyro_bias_radps: Annotated[Axes, Meta(description="reading minus true: forward, starboard, down")]
+    gyro_bias_radps_sd: Axes
+    dvl_lever_arm_m: Annotated[Axes, Meta(description="IMU to DVL: forward, starboard, down")]
+
+
 @dataclass(frozen=True)
 class CandidateStart(Start):
     """The start that a candidate is given: a `Start` with its time, and what the dive does not hold."""
@@ -41,8 +66,8 @@ class CandidateStart(Start):
     dvl_lever_arm_b: Floats = field(default_factory=lambda: np.zeros(3))  # IMU to DVL, m
     position_sd_m: Floats = field(default_factory=lambda: np.ones(3))  # north, east, down
 
-    def to_json(self) -> str:
-        """Write what a program is given, with standard deviations as ``NAME_sd``."""
+    def to_json(self) -> bytes:
+        """Write what a program is given, a `StartFile`."""
         _, _, heading = rpy_from_mat(self.mat_nb)
         level_nb, sd = mat_from_rpy(np.array([0.0, 0.0, heading])), self.sd
         level_cov = level_nb.T @ self.cov[3:6, 3:6] @ level_nb
@@ -56,30 +81,28 @@ class CandidateStart(Start):
             "accelerometer_bias_mps2": (self.accel_bias_b, sd[6:9]),
             "gyro_bias_radps": (self.gyro_bias_b, sd[9:12]),
         }
-        content: dict[str, Any] = {"time_ns": self.time_ns}
+        content: dict[str, Any] = {"time_ns": self.time_ns, "dvl_lever_arm_m": self.dvl_lever_arm_b.tolist()}
         for name, (value, sigma) in values.items():
             content[name], content[f"{name}_sd"] = np.asarray(value).tolist(), np.asarray(sigma).tolist()
-        content["dvl_lever_arm_m"] = self.dvl_lever_arm_b.tolist()
-        return json.dumps(content, indent=1) + "\n"
+        return msgspec.json.format(msgspec.json.encode(msgspec.convert(content, StartFile)), indent=1) + b"\n"
 
     @classmethod
-    def from_json(cls, text: str) -> "CandidateStart":
+    def from_json(cls, text: str | bytes) -> "CandidateStart":
         """Read what `to_json` writes."""
-        content = json.loads(text)
-        rpy_sd = np.array(content["roll_pitch_heading_deg_sd"]) * DEG
-        rpy = np.array(content["roll_pitch_heading_deg"]) * DEG
-        sd = [content[f"{name}_sd"] for name in ("velocity_ned_mps", "accelerometer_bias_mps2", "gyro_bias_radps")]
-        cov = np.diag(np.concatenate([sd[0], np.zeros(3), sd[1], sd[2]]) ** 2)
+        given = msgspec.json.decode(text, type=StartFile)
+        rpy, rpy_sd = (np.array(deg) * DEG for deg in (given.roll_pitch_heading_deg, given.roll_pitch_heading_deg_sd))
+        sd = given.velocity_ned_mps_sd, (0.0,) * 3, given.accelerometer_bias_mps2_sd, given.gyro_bias_radps_sd
+        cov = np.diag(np.concatenate(sd) ** 2)
         cov[3:6, 3:6] = misalignment_cov(rpy_sd[None], rpy[2:])[0]
         return cls(
-            np.array([content["latitude_deg"] * DEG, content["longitude_deg"] * DEG, content["height_m"]]),
-            np.array(content["velocity_ned_mps"]),
+            np.array([given.latitude_deg * DEG, given.longitude_deg * DEG, given.height_m]),
+            np.array(given.velocity_ned_mps),
             mat_from_rpy(rpy),
             cov,
-            np.array(content["accelerometer_bias_mps2"]),
-            np.array(content["gyro_bias_radps"]),
-            time_ns=content["time_ns"],
-            dvl_lever_arm_b=np.array(content["dvl_lever_arm_m"]),
+            np.array(given.accelerometer_bias_mps2),
+            np.array(given.gyro_bias_radps),
+            time_ns=given.time_ns,
+            dvl_lever_arm_b=np.array(given.dvl_lever_arm_m),
         )
 
 

@@ -26,6 +26,7 @@ from difflib import get_close_matches
 from typing import Any, Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Dive, Floats, TimeNs
 from insdvl_replay.core.quantities import is_reserved, is_whole
@@ -46,8 +47,16 @@ class UserReadings:
     """The readings of a user-defined measurement."""
 
     time_ns: TimeNs  # (k,), times of validity, strictly increasing
-    values: Floats  # (k, s), s is 1 to 4
-    sd: Floats  # (s,) or (k, s), noise of the independent components
+    values: Floats  # (k,), or (k, s), s is 1 to 4
+    sd: Floats  # a number, (s,) or (k, s), noise of the independent components; (k,) for one component
+
+
+@dataclass(frozen=True)
+class NoiseFactors:
+    """Factors of the white noise of the readings. Each row holds until the next; before the first they are one."""
+
+    time_ns: TimeNs  # (k,), strictly increasing
+    factors: Floats  # (k, 6), of the standard deviations of accelerometers and gyros, axis by axis in b
 
 
 class UserMeasurement:
@@ -86,6 +95,18 @@ class UserMeasurement:
         raise NotImplementedError
 
 
+class UserNoise:
+    """The noise of the inertial sensors as your code finds it; made without arguments."""
+
+    def noise_factors(self, dive: Dive) -> tuple[TimeNs, Floats]:
+        """Return times, shape (k,), and factors of the white noise that the settings give.
+
+        Factors of shape (k, 2) are of accelerometers and gyros, of shape (k, 6) of their axes x, y, z in b. A factor
+        holds until the next time. It is called again on dives without the pings of an outage.
+        """
+        raise NotImplementedError
+
+
 def load_class(word: str, base: type[Kind]) -> type[Kind]:
     """Import a class by ``module:Class``, derived from a base; a ValueError says why that fails."""
     module, _, name = word.partition(":")
@@ -112,21 +133,30 @@ def failure_text(error: BaseException, kind: type) -> str:
     return f"{where}: {type(error).__name__}" + (f": {error}" if str(error) else "")
 
 
-def load_user_measurement(word: str) -> UserMeasurement:
-    """Import a measurement by ``module:Class`` and make one; a ValueError says why that fails."""
-    found = load_class(word, UserMeasurement)
+def load_plugin(word: str, base: type[Kind]) -> Kind:
+    """Import a class by ``module:Class`` and make an object; a ValueError says why that fails."""
+    found = load_class(word, base)
     try:
         user = found()
     except (Exception, SystemExit) as error:
         raise ValueError(f"cannot be created without arguments: {error}") from error
+    if isinstance(user, UserMeasurement):
+        _require_whole(user)
+    elif isinstance(user, UserNoise) and type(user).noise_factors is UserNoise.noise_factors:
+        raise ValueError("has no method noise_factors(self, dive)")
+    return user
+
+
+def _require_whole(user: UserMeasurement) -> None:
+    """Require the name, the unit and the methods of a measurement."""
     name = str(user.name)
     mistakes = (
         (not isinstance(user.name, str), f"has the name {user.name!r}, which is not text"),
         (not isinstance(user.unit, str), f"has the unit {user.unit!r}, which is not text"),
         (not (name.isidentifier() and is_whole(name)), f"has the name '{name}', which is not allowed in tables"),
         (is_reserved(name), f"has the name '{name}', which is a built-in measurement"),
-        (found.readings is UserMeasurement.readings, "has no method readings(self, dive)"),
-        (found.predict is UserMeasurement.predict, "has no method predict(ins, z, H)"),
+        (type(user).readings is UserMeasurement.readings, "has no method readings(self, dive)"),
+        (user.predict is UserMeasurement.predict, "has no method predict(ins, z, H)"),
         (
             inspect.ismethod(user.predict),
             "has a predict that is not a static method: write @staticmethod above predict(ins, z, H)",
@@ -135,7 +165,6 @@ def load_user_measurement(word: str) -> UserMeasurement:
     for is_wrong, text in mistakes:
         if is_wrong:
             raise ValueError(text)
-    return user
 
 
 def compiled_prediction(predict: Predict) -> Predict | None:
@@ -193,31 +222,55 @@ def _signature() -> Any:
 
 
 def checked_readings(readings: UserReadings) -> UserReadings:
-    """Require what the filter relies on; a ValueError says what is wrong."""
-
-    def numbers(what: str, given: Any) -> Floats:
-        try:
-            return np.asarray(given, np.float64)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"returns {what} that are not an array of numbers: {error}") from error
-
-    time_ns, values = np.asarray(readings.time_ns), numbers("values", readings.values)
+    """Require what the filter relies on, shapes (k,), (k, s) and (k, s); a ValueError says what is wrong."""
+    time_ns, values, sd = np.asarray(readings.time_ns), _numbers("values", readings.values), _numbers("sd", readings.sd)
+    if values.ndim == 1 and values.shape == time_ns.shape:
+        values = values[:, None]
     if values.ndim != 2 or not 1 <= values.shape[1] <= 4 or time_ns.shape != values.shape[:1]:
         shapes = f"{time_ns.shape} and {values.shape}"
         raise ValueError(f"returns times and values of shapes {shapes}, not (k,) and (k, s), s from 1 to 4")
-    if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
-        raise ValueError("returns times that are not increasing int64 nanoseconds")
-    sd = numbers("sd", readings.sd)
     try:
-        sd = np.broadcast_to(sd, values.shape)
+        sd = np.broadcast_to(sd[:, None] if sd.shape == time_ns.shape and values.shape[1] == 1 else sd, values.shape)
     except ValueError as error:
         shapes = f"{sd.shape} for values of shape {values.shape}"
         raise ValueError(f"returns sd of shape {shapes}, not (s,) or (k, s)") from error
-    for what, bad in (("values that are not finite", ~np.isfinite(values)), ("sd that is not above 0", ~(sd > 0.0))):
-        if len(rows := np.flatnonzero(bad.any(axis=1))):
-            raise ValueError(
-                f"returns {what} in {len(rows)} of {len(values)} rows, the first is row {rows[0]}: leave them out"
-            )
+    _require_increasing(time_ns)
+    _require_rows("values that are not finite", np.isfinite(values))
+    _require_rows("sd that is not above 0", sd > 0.0)
     if not np.isfinite(sd).all():
         raise ValueError("returns sd that is not finite")
     return UserReadings(time_ns, values, sd)
+
+
+def checked_factors(given: tuple[TimeNs, Floats]) -> NoiseFactors:
+    """Require what the filter relies on, and repeat factors for all axes; a ValueError says what is wrong."""
+    try:
+        times, found = given
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"returns {type(given).__name__}, not two arrays: times and factors") from error
+    time_ns, factors = np.asarray(times), _numbers("factors", found)
+    if factors.shape not in ((len(time_ns), 2), (len(time_ns), 6)):
+        shapes = f"{time_ns.shape} and {factors.shape}"
+        raise ValueError(f"returns times and factors of shapes {shapes}, not (k,) and (k, 2) or (k, 6)")
+    _require_increasing(time_ns)
+    _require_rows("factors that are not finite and above 0", np.isfinite(factors) & (factors > 0.0))
+    return NoiseFactors(time_ns, np.repeat(factors, 6 // factors.shape[1], axis=1))
+
+
+def _numbers(what: str, given: Any) -> Floats:
+    try:
+        return np.asarray(given, np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"returns {what} that are not an array of numbers: {error}") from error
+
+
+def _require_increasing(time_ns: TimeNs) -> None:
+    if time_ns.dtype != np.int64 or np.any(np.diff(time_ns) <= 0):
+        raise ValueError("returns times that are not increasing int64 nanoseconds")
+
+
+def _require_rows(what: str, good: NDArray[np.bool_]) -> None:
+    if len(rows := np.flatnonzero(~good.all(axis=1))):
+        raise ValueError(
+            f"returns {what} in {len(rows)} of {len(good)} rows, the first is row {rows[0]}: leave them out"
+        )

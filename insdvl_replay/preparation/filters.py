@@ -72,6 +72,7 @@ class ResolvedFilter:
     more_sd: Floats  # (n - 12,) sd of the states beside the twelve at the start, SI units
     more_density: Floats  # (n - 12,) density of their process noise
     heading_bias_rate_hz: float  # see `filter.run_filter`
+    noise_factors: str | None = None  # ``module:Class``
 
     def gate(self, size: int) -> float:
         """Return the largest NIS of so many components that is used; infinite where every innovation is."""
@@ -178,6 +179,7 @@ def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter
         # A Gauss-Markov process keeps its variance where its noise has the density 2 sd^2 / time.
         2.0 * rate_hz * fades * more_sd**2,
         rate_hz,
+        filter_.noise_factors,
     )
 
 

@@ -1,4 +1,4 @@
-"""User-defined measurements: imported, asked for their readings of a dive, and prepared like those of a sensor.
+"""User-defined measurements and noise: imported, asked for a dive, and prepared like those of a sensor.
 
 They are given no data that is held back from the filters. A held-out sensor is absent from their dive. For the DVL
 outage test they are asked again, on a dive that ends with the outage and lacks its pings. An error in the user's code
@@ -26,14 +26,17 @@ from insdvl_replay.nav.measurements import USER, Measurement, sensor_measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER
 from insdvl_replay.nav.user_measurement import (
     INS_SIZE,
+    NoiseFactors,
     Predict,
     UserMeasurement,
+    UserNoise,
     UserReadings,
+    checked_factors,
     checked_readings,
     compiled_prediction,
     failure_text,
     joined,
-    load_user_measurement,
+    load_plugin,
 )
 from insdvl_replay.preparation.filters import ResolvedFilter, silence_notes
 from insdvl_replay.preparation.notes import note
@@ -71,7 +74,7 @@ def prepare_user_measurements(
     found, notes = dict[str, Measurement](), list[Note]()
     predictions, compiled = dict[str, Predict](), dict[str, Predict]()
     for row, plugin in enumerate(plugins, start=FIRST_OTHER + sensors):
-        user, readings = _asked(plugin, dive, config)
+        user, readings = _asked(plugin, UserMeasurement, dive, config)
         readings = _inside(readings, [(start_ns, end_ns)])
         if not len(readings.time_ns):
             text = f"{plugin} has no reading between the start and the end of the replay"
@@ -106,12 +109,24 @@ def prepare_user_measurements(
     return found, (*uncompiled, *dict.fromkeys(notes))
 
 
-# --- Readings.
+def prepare_user_noise(dive: Dive, config: Config, filters: Sequence[ResolvedFilter]) -> dict[str, NoiseFactors]:
+    """Ask the classes that filters name in ``noise_factors``."""
+    plugins = dict.fromkeys(filter_.noise_factors for filter_ in filters if filter_.noise_factors is not None)
+    asked = {plugin: _asked(plugin, UserNoise, dive, config)[1] for plugin in plugins}
+    return {plugin: NoiseFactors(readings.time_ns, readings.values) for plugin, readings in asked.items()}
+
+
+# --- Readings. Factors of noise are taken for readings, which hold until the next.
 
 
 def _asked(
-    plugin: str, dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END
-) -> tuple[UserMeasurement, UserReadings]:
+    plugin: str,
+    base: type,
+    dive: Dive,
+    config: Config,
+    outages: Sequence[Outage] = (),
+    end_ns: int = NO_END,
+) -> tuple[Any, UserReadings]:
     """Get the readings from a new object, which has no state of earlier calls."""
     given, held_out = given_dive(dive, config, outages, end_ns), config.evaluation.held_out
     topics = f"dive.topics has {listed(sorted(given.topics))}" if given.topics else "dive.topics is empty"
@@ -119,18 +134,21 @@ def _asked(
     if held_out:
         hint += f"; evaluation.held_out removes {listed(held_out)}, and topics and solutions that contain it"
     try:
-        user = load_user_measurement(plugin)
+        user: Any = load_plugin(plugin, base)
+        if isinstance(user, UserNoise):
+            what = "noise_factors(self, dive)"
+            noise = checked_factors(_called(plugin, user, what, lambda: user.noise_factors(given), hint))
+            return user, UserReadings(noise.time_ns, noise.factors, noise.factors)
         readings = _called(plugin, user, "readings(self, dive)", lambda: user.readings(given), hint)
         if not isinstance(readings, UserReadings):
-            raise ConfigError(
-                f"{plugin}: readings(self, dive) returns {type(readings).__name__}, not UserReadings", SHOWN
-            )
+            text = f"{plugin}: readings(self, dive) returns {type(readings).__name__}, not UserReadings"
+            raise ConfigError(text, SHOWN)
         return user, checked_readings(readings)
     except ValueError as error:
         raise ConfigError(f"{plugin} {error}", f"{SHOWN}; PYTHONPATH must contain the folder of the module") from error
 
 
-def _called(plugin: str, user: UserMeasurement, what: str, call: Callable[[], _T], hint: str) -> _T:
+def _called(plugin: str, user: object, what: str, call: Callable[[], _T], hint: str) -> _T:
     """Call code of the user's; what it raises becomes a ConfigError with file and line."""
     try:
         return call()
@@ -145,10 +163,15 @@ def _measurement(name: str, unit: str, readings: UserReadings) -> Measurement:
     return sensor_measurement(name, unit, USER, readings.time_ns, readings.values, readings.sd, axes)
 
 
-def _inside(readings: UserReadings, spans: Sequence[tuple[int, int]]) -> UserReadings:
-    """Keep the readings after the start of any of some spans and up to its end."""
-    inside = np.any([(readings.time_ns > start) & (readings.time_ns <= end) for start, end in spans], axis=0)
-    return UserReadings(readings.time_ns[inside], readings.values[inside], readings.sd[inside])
+def _inside(readings: UserReadings, spans: Sequence[Outage], *, holds: bool = False) -> UserReadings:
+    """Keep the readings after the start of any of some spans, up to its end; and what holds at the start."""
+    columns = readings.time_ns, readings.values, readings.sd
+    parts = [tuple(column[:0] for column in columns)]
+    for start_ns, end_ns in spans:
+        first, last = np.searchsorted(readings.time_ns, (start_ns, end_ns), "right")
+        time_ns, values, sd = (column[max(first - holds, 0) : last] for column in columns)
+        parts.append((np.maximum(time_ns, start_ns), values, sd))
+    return UserReadings(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 # --- Predictions.
@@ -266,15 +289,19 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
 
 
 def in_outages(
-    dive: Dive, config: Config, sensors: dict[str, Measurement], outages: Sequence[Outage]
-) -> Iterator[tuple[Sequence[Outage], dict[str, Measurement]]]:
-    """Yield groups of outages with the sensors that aid filters there: user code makes its readings again.
+    dive: Dive,
+    config: Config,
+    sensors: dict[str, Measurement],
+    noise: dict[str, NoiseFactors],
+    outages: Sequence[Outage],
+) -> Iterator[tuple[Sequence[Outage], dict[str, Measurement], dict[str, NoiseFactors]]]:
+    """Yield groups of outages with the sensors and the noise that filters have there: user code is asked again.
 
     The outages of a group are far apart, so that one call serves all: a longer dive needs no more calls.
     """
-    plugins = [plugin for plugin in sensors if ":" in plugin]
-    if not plugins:
-        yield outages, sensors
+    plugins = {plugin: sensor for plugin, sensor in sensors.items() if ":" in plugin}
+    if not plugins and not noise:
+        yield outages, sensors, noise
         return
     groups = list[list[Outage]]()
     for outage in outages:
@@ -283,26 +310,34 @@ def in_outages(
             groups.append(group := [])
         group.append(outage)
     for group in groups:
+        found, factors = dict[str, Measurement](), dict[str, NoiseFactors]()
         with error_context(dive.name, "in the DVL outage test"):
-            yield (
-                group,
-                sensors | {plugin: _in_outages(plugin, sensors[plugin], dive, config, group) for plugin in plugins},
-            )
+            for plugin, whole in plugins.items():
+                readings = _in_outages(plugin, UserMeasurement, whole.size, dive, config, group)
+                made = _measurement(whole.name, whole.unit, readings)
+                columns = {name: getattr(made, name) for name in ("valid_ns", "values", "cov", "available")}
+                found[plugin] = replace(whole, **columns)
+            for plugin in noise:
+                readings = _in_outages(plugin, UserNoise, 6, dive, config, group)
+                factors[plugin] = NoiseFactors(readings.time_ns, readings.values)
+        yield group, sensors | found, factors
 
 
-def _in_outages(plugin: str, whole: Measurement, dive: Dive, config: Config, outages: Sequence[Outage]) -> Measurement:
+def _in_outages(
+    plugin: str, base: type, size: int, dive: Dive, config: Config, outages: Sequence[Outage]
+) -> UserReadings:
     """Return the readings in outages, each from a dive that ends with this outage and lacks its pings only.
 
     One call for all outages is enough if it gives the same in the first, the shortest and the last. It does not for
     code that uses later data, or data from before the previous outage.
     """
+    holds = base is UserNoise
 
     def asked(outages: Sequence[Outage], end_ns: int = NO_END) -> UserReadings:
-        readings = _inside(_asked(plugin, dive, config, outages, end_ns)[1], outages)
-        if (size := readings.values.shape[1]) != whole.size:
-            raise ConfigError(
-                f"{plugin} returns readings of {size} components in an outage, but {whole.size} otherwise", SHOWN
-            )
+        readings = _inside(_asked(plugin, base, dive, config, outages, end_ns)[1], outages, holds=holds)
+        if (found := readings.values.shape[1]) != size:
+            text = f"{plugin} returns readings of {found} components in an outage, but {size} otherwise"
+            raise ConfigError(text, SHOWN)
         return readings
 
     def is_same(together: UserReadings, alone: UserReadings) -> bool:
@@ -314,9 +349,10 @@ def _in_outages(plugin: str, whole: Measurement, dive: Dive, config: Config, out
     alone = cache(lambda outage: asked([outage], outage[1]))
     compared = outages[0], min(outages, key=lambda outage: outage[1] - outage[0]), outages[-1]
     readings = asked(outages) if len(outages) > ONE_BY_ONE else None
-    if readings is None or not all(is_same(_inside(readings, [outage]), alone(outage)) for outage in compared):
+    if readings is None or not all(
+        is_same(_inside(readings, [outage], holds=holds), alone(outage)) for outage in compared
+    ):
         parts = [alone(outage) for outage in outages]
         columns = ([getattr(part, name) for part in parts] for name in ("time_ns", "values", "sd"))
         readings = UserReadings(*map(np.concatenate, columns))
-    made = _measurement(whole.name, whole.unit, readings)
-    return replace(whole, valid_ns=made.valid_ns, values=made.values, cov=made.cov, available=made.available)
+    return readings

@@ -1,7 +1,7 @@
 """Before the filters: read and check a dive, move the reference to the IMU, solve the pings, treat gaps, and align."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,6 +31,7 @@ from insdvl_replay.nav.dvl import DvlBeams, DvlVelocities, dvl_beams, dvl_veloci
 from insdvl_replay.nav.earth_model import HOLD_AFTER_S
 from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import Gaps
+from insdvl_replay.nav.user_measurement import NoiseFactors
 from insdvl_replay.preparation.alignment import Alignment, align
 from insdvl_replay.preparation.filters import (
     ResolvedFilter,
@@ -40,7 +41,7 @@ from insdvl_replay.preparation.filters import (
     resolve_filters,
 )
 from insdvl_replay.preparation.notes import note
-from insdvl_replay.preparation.plugins import prepare_user_measurements
+from insdvl_replay.preparation.plugins import prepare_user_measurements, prepare_user_noise
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
 RESIDUAL_HINT: Final = "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
@@ -62,6 +63,7 @@ class Prepared:
     beams: DvlBeams | None  # inside the span, if a filter is aided by them
     sensors: dict[str, Measurement]  # what else was read, by sensor or ``module:Class``
     notes: tuple[Note, ...]
+    noise: dict[str, NoiseFactors] = field(default_factory=dict)  # of the user's, by ``module:Class``
 
     @property
     def sensor_sd(self) -> dict[str, Floats]:
@@ -155,6 +157,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
         filters = resolve_filters(config)
         sensors, sensor_notes = prepare_sensors(dive.sensors, config, start, start_ns, end_ns, alignment.used_ns)
         own, own_notes = prepare_user_measurements(dive, config, filters, len(sensors), start, start_ns, end_ns)
+        noise = prepare_user_noise(dive, config, filters)
     inside = velocities.within(start_ns, end_ns)
     if not len(inside.time_ns):
         raise LogError(
@@ -178,7 +181,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     by_beams = any("beams" in filter_.aiding for filter_ in filters)
     beams = dvl_beams(dive.dvl, mounting, start_ns, end_ns) if by_beams else None
     gaps = gaps.within(start_ns, end_ns)
-    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, tuple(notes))
+    return Prepared(inside, alignment, end_ns, gaps, mounting, filters, beams, sensors | own, tuple(notes), noise)
 
 
 def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) -> list[Note]:

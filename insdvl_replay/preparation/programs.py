@@ -26,7 +26,7 @@ from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solut
 
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
-CLASS_DIVE, PROGRAM_DIVE = "{}.pickle", "{}.mcap"  # files of a dive, by its name
+DIVE_FILES: Final = {"class": "{}.pickle", "clean": "{}.mcap", "log": "{}_log.mcap"}  # by input, of a dive's name
 _TOPICS: Final = {"/pressure": "depth", "/ahrs": "heading", "/gnss": "position"}  # as `logs.write_dive` writes them
 Process = subprocess.Popen[bytes]
 
@@ -36,6 +36,7 @@ class UserProcesses:
 
     def __init__(self, settings: Filter, folder: Path) -> None:
         self.settings, self.folder = settings, folder  # the folder is for its files
+        self.input = "class" if settings.program is None else settings.input or "clean"
         self._running, self._is_stopped = set[Process](), threading.Event()
         self._idle: queue.SimpleQueue[Process] = queue.SimpleQueue()  # of a class, ready for another run
         folder.mkdir()
@@ -47,7 +48,7 @@ class UserProcesses:
         folder = self.folder / run
         folder.mkdir()
         start_file, solution_file = folder / "start.json", folder / "solution"
-        start_file.write_text(start.to_json(), "utf-8")
+        start_file.write_bytes(start.to_json())
         words = list(self.settings.program or ())
         for place, path in {"{dive}": dive_file, "{start}": start_file, "{solution}": solution_file}.items():
             words = [word.replace(place, str(path)) for word in words]
@@ -191,7 +192,7 @@ def _solution_of(word: str, dive_file: Path, start: CandidateStart) -> Solution:
 
 def run_as_program(kind: type[Candidate], dive_file: Path, start_file: Path, solution_file: Path) -> None:
     """Run a class over the files that a program is given."""
-    start = CandidateStart.from_json(start_file.read_text("utf-8"))
+    start = CandidateStart.from_json(start_file.read_bytes())
     dive = logs.read_dive(dive_file, Config())
     if sensors := tuple(_TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS):
         dive = logs.read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))

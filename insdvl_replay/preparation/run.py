@@ -37,7 +37,6 @@ from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.dvl import parity_innovations
 from insdvl_replay.nav.filter import run_filter, run_outage
 from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
-from insdvl_replay.nav.measurements import Measurement
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.notes import note
@@ -205,6 +204,7 @@ def _filter_settings(filter_: ResolvedFilter, prepared: Prepared) -> dict[str, A
         "lever_arm_b": prepared.mounting.lever_arm_b,
         "more_states": filter_.states,
         "heading_bias_rate_hz": filter_.heading_bias_rate_hz,
+        "noise_factors": prepared.noise.get(filter_.noise_factors or ""),
     }
 
 
@@ -228,20 +228,21 @@ def run_outages(dive: RunDive, config: Config, histories: tuple[History, ...], p
     User code is given the dive without the pings of each window.
     """
     report_stage("DVL outage test")
-    prepared, groups = dive.prepared, list[tuple[Sequence[Outage], dict[str, Measurement], Timeline]]()
-    for windows, sensors in in_outages(dive.dive, config, prepared.sensors, tuple(plan.windows_ns)):
+    prepared, groups = dive.prepared, list[tuple[Sequence[Outage], Prepared, Timeline]]()
+    windows_ns = tuple(plan.windows_ns)
+    for windows, sensors, noise in in_outages(dive.dive, config, prepared.sensors, prepared.noise, windows_ns):
+        part = replace(prepared, sensors=sensors, noise=noise)
         is_same = sensors is prepared.sensors
-        line = dive.timeline if is_same else prepared_timeline(dive.dive, replace(prepared, sensors=sensors))
-        groups.append((windows, sensors, line))
+        groups.append((windows, part, dive.timeline if is_same else prepared_timeline(dive.dive, part)))
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
         found = dict[tuple[int, int], OutageRun]()
         (velocity,) = replace(filter_, aiding=("velocity",), held_out=()).measurements(*measured)
-        for windows, sensors, line in groups:
-            aiding = filter_.measurements(*measured, sensors, prepared.beams)
+        for windows, part, line in groups:
+            aiding = filter_.measurements(*measured, part.sensors, prepared.beams)
             others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)
-            kept, settings = (velocity, *others), _filter_settings(filter_, prepared)
+            kept, settings = (velocity, *others), _filter_settings(filter_, part)
             found |= {window: outage_run(run_outage(history, line, window, kept, **settings)) for window in windows}
         return tuple(found[window] for window in plan.windows_ns)
 

@@ -32,14 +32,14 @@ from insdvl_replay.evaluation.outage_test import (
 )
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.geometry.earth import earth_rate_n
-from insdvl_replay.logs import write_dive
+from insdvl_replay.logs import copy_log, held_back_messages, write_dive
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart
 from insdvl_replay.preparation.candidates import failed_history, history_of_candidate
 from insdvl_replay.preparation.notes import note
-from insdvl_replay.preparation.plugins import given_dive
+from insdvl_replay.preparation.plugins import Outage, given_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
-from insdvl_replay.preparation.programs import CLASS_DIVE, PROGRAM_DIVE, UserProcesses
+from insdvl_replay.preparation.programs import DIVE_FILES, UserProcesses
 from insdvl_replay.preparation.run import BuiltInFilter, RunDive, RunPlan, Runs, drawn_part, prepared_timeline
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
@@ -56,6 +56,7 @@ class GivenDive:
     prepared: Prepared
     baseline: History
     windows: Sequence[int] = ()  # rows of the plan's windows whose pings are absent
+    absent: Sequence[Outage] = ()  # these windows
 
 
 class UserRun(NamedTuple):
@@ -84,14 +85,19 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
     histories, drawn, notes = list(runs.histories), list(runs.drawn), list(runs.notes)
     outages, printed = dict[str, OutageRuns](), dict[str, str]()
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-") as folder:
+        candidates = [_Candidate(*item, Path(folder), plan) for item in config.user_candidates.items()]
+        inputs = {candidate.processes.input for candidate in candidates}
         for test in (whole, *outage_dives):
-            if any(settings.program for settings in config.user_candidates.values()):
-                write_dive(Path(folder, PROGRAM_DIVE.format(test.name)), test.dive)
-            if any(settings.candidate for settings in config.user_candidates.values()):
-                Path(folder, CLASS_DIVE.format(test.name)).write_bytes(pickle.dumps(test.dive))
-        for name, settings in config.user_candidates.items():
+            files = {kind: Path(folder, name.format(test.name)) for kind, name in DIVE_FILES.items()}
+            if "clean" in inputs:
+                write_dive(files["clean"], test.dive)
+            if "class" in inputs:
+                files["class"].write_bytes(pickle.dumps(test.dive))
+            if "log" in inputs and dive.paths:
+                copy_log(files["log"], dive.paths, held_back_messages(dive.paths, config, test.absent))
+        for candidate in candidates:
+            name = candidate.name
             report_stage(f"running {name}")
-            candidate = _Candidate(name, settings, Path(folder), plan)
             try:
                 found = candidate.runs(whole, starts, part, outage_dives, windows)
             except CandidateError as error:
@@ -114,7 +120,6 @@ class _Candidate:
 
     def __init__(self, name: str, settings: Filter, folder: Path, plan: RunPlan) -> None:
         self.name, self.plan, self.folder = name, plan, folder
-        self.file_name = PROGRAM_DIVE if settings.program else CLASS_DIVE
         self.processes = UserProcesses(settings, folder / name)
 
     def history(self, test: GivenDive, run: str, start: Start) -> tuple[History, tuple[Note, ...], str]:
@@ -126,7 +131,10 @@ class _Candidate:
             dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
             position_sd_m=np.array(alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)),
         )
-        solution = self.processes.run(run, self.folder / self.file_name.format(test.name), given)
+        dive_file = self.folder / DIVE_FILES[self.processes.input].format(test.name)
+        if not dive_file.exists():
+            raise CandidateError("cannot be run: its input is the log, and the dive has no file")
+        solution = self.processes.run(run, dive_file, given)
         digest = hashlib.sha256()
         for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
             digest.update(b"" if column is None else np.ascontiguousarray(column).tobytes())
@@ -202,20 +210,23 @@ def _windows(plan: OutagePlan) -> Windows | None:
 def _outage_dives(dive: Dive, prepared: Prepared, config: Config, windows: Windows | None) -> list[GivenDive]:
     """Make dives that lack the pings of every third window, and run the baseline over them."""
     found, ping_ns, alignment = list[GivenDive](), prepared.velocities.time_ns, prepared.alignment
-    settings = changed(config, initial=alignment.initial or config.initial)
+    filters = {config.baseline: config.filters[config.baseline]}
+    settings = changed(config, initial=alignment.initial or config.initial, filters=filters)
     for number in range(0 if windows is None else min(OUTAGE_DIVES, len(windows.first))):
         assert windows is not None
         rows = range(number, len(windows.first), OUTAGE_DIVES)
         spans = [(int(windows.first[row]), int(windows.last[row])) for row in rows]
-        given = given_dive(dive, config, [(int(ping_ns[first]), int(ping_ns[last])) for first, last in spans])
-        part = replace(prepare_dive(given, settings), alignment=alignment, end_ns=prepared.end_ns)
+        absent = [(int(ping_ns[first]), int(ping_ns[last])) for first, last in spans]
+        given = given_dive(dive, config, absent)
+        whole = replace(given, reference=given.reference or dive.reference, sensors=dive.sensors)
+        part = replace(prepare_dive(whole, settings), alignment=alignment, end_ns=prepared.end_ns)
         # Known at the samples around each absent ping, where the filter has a node in any case.
         absent_ns = np.concatenate([ping_ns[first + 1 : last + 1] for first, last in spans])
         before = np.searchsorted(dive.imu.time_ns, absent_ns, "right") - 1
         around = np.unique(np.concatenate([before, np.minimum(before + 1, len(dive.imu.time_ns) - 1)]))
-        line = prepared_timeline(given, part, dive.imu.time_ns[around])
-        baseline = BuiltInFilter(part.filters[0]).run(RunDive(given, part, line, absent_ns[:0]), alignment.start)
-        found.append(GivenDive(f"outage_{number + 1}", _given(given, part), part, baseline, rows))
+        line = prepared_timeline(whole, part, dive.imu.time_ns[around])
+        baseline = BuiltInFilter(part.filters[0]).run(RunDive(whole, part, line, absent_ns[:0]), alignment.start)
+        found.append(GivenDive(f"outage_{number + 1}", _given(given, part), part, baseline, rows, absent))
     return found
 
 

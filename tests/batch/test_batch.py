@@ -280,6 +280,12 @@ def test_code_of_ones_own_that_was_changed_is_run_again(archive: Path, tmp_path:
         with (tmp_path / "out" / "dive_1" / "consistency.csv").open() as stream:
             (noise[sd],) = (float(row["mean_nis"]) for row in csv.DictReader(stream) if row["measurement"] == "down")
     assert noise[0.2] < 0.5 * noise[0.1]
+    for version, sd, is_kept in (("1", 0.3, False), ("1", 0.4, True), ("2", 0.4, False)):
+        (tmp_path / "mine.py").write_text(OWN.replace("SD", str(sd)))
+        mine = f'filters.mine={{aiding=["velocity","mine:Down"], version="{version}"}}'
+        words = ("-o", "out", "--set", mine, "--starts", "1", "--allow-code", "--force")
+        done = run(archive / "dive_1.mcap", *words, cwd=tmp_path)
+        assert ("wrote out/dive_1" in done.stderr) is not is_kept
 
 
 def test_one_bad_name_stops_no_archive(archive: Path, tmp_path: Path) -> None:

@@ -26,8 +26,9 @@ from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.preparation.programs import run_as_program
 from insdvl_replay.preparation.solution_files import read_solution, write_solution
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
+from insdvl_replay.sim.sensor_errors import SensorErrors
 
 HERE = "baseline_as_candidate"
 FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
@@ -125,6 +126,47 @@ def test_a_program_is_given_what_the_filters_get_and_nothing_that_judges_them(
     assert start["time_ns"] == dive.imu.time_ns[0]
     assert start["velocity_ned_mps_sd"] == [0.1, 0.1, 0.1]
     assert start["roll_pitch_heading_deg_sd"] == pytest.approx([0.5, 0.5, 0.5])
+
+
+@pytest.mark.parametrize("held_out", [(), ("depth",)])
+def test_a_program_is_given_the_log_without_what_judges_it(
+    held_out: tuple[str, ...], written: Path, tmp_path: Path
+) -> None:
+    sensors = {"depth": SensorErrors(0.05, 4.0)}
+    dive = simulate_dive("lawnmower", seed=3, duration_s=220.0, imu_rate_hz=50.0, sensors=sensors)
+    write_dive(tmp_path / "dive.mcap", dive)
+    script = copying(written) + f"pathlib.Path({str(tmp_path)!r}, dive.name).write_bytes(dive.read_bytes())\n"
+    mine = program(tmp_path, script, input="log")
+    assert not replay_log(tmp_path / "dive.mcap", config(mine, held_out=held_out)).histories[-1].failure
+    files = sorted(tmp_path.glob("*_log.mcap"))
+    assert [path.name for path in files] == ["dive_log.mcap", *(f"outage_{i}_log.mcap" for i in (1, 2, 3))]
+    whole, *outages = (read_dive(path, Config()) for path in files)
+    np.testing.assert_array_equal(whole.imu.specific_force_b, dive.imu.specific_force_b)
+    np.testing.assert_array_equal(whole.dvl.time_ns, dive.dvl.time_ns)
+    assert {channel.topic for channel in whole.channels} == {"/imu", "/dvl", *(() if held_out else ["/pressure"])}
+    absent = [set(dive.dvl.time_ns) - set(found.dvl.time_ns) for found in outages]
+    assert sum(map(len, absent)) == len(set.union(*absent)) >= 90
+
+
+def test_a_dive_without_a_file_has_no_log_to_give(dive: Dive, written: Path, tmp_path: Path) -> None:
+    replay = replay_dive(dive, config(program(tmp_path, copying(written), input="log")))
+    assert "its input is the log" in replay.verdicts["mine"].sentence
+
+
+class Depths(Candidate):
+    """A class that names the sensors it is given."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Fail, with their names."""
+        raise ValueError(f"given {sorted(dive.sensors)}")
+
+
+@pytest.mark.parametrize(("held_out", "given"), [((), "given ['depth']"), (("depth",), "given []")])
+def test_a_class_is_not_given_a_sensor_that_is_held_out(held_out: tuple[str, ...], given: str) -> None:
+    sensors = {"depth": SensorErrors(0.05, 4.0)}
+    dive = simulate_dive("lawnmower", seed=3, duration_s=30.0, imu_rate_hz=50.0, sensors=sensors)
+    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Depths"), held_out=held_out))
+    assert given in replay.verdicts["mine"].sentence
 
 
 @pytest.mark.all_starts
@@ -365,7 +407,7 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
     velocities = dvl_velocities(dive.dvl)
     given = Dive("dive", dive.imu, DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b))
     write_dive(tmp_path / "dive.mcap", given)
-    (tmp_path / "start.json").write_text(start.to_json())
+    (tmp_path / "start.json").write_bytes(start.to_json())
     run_as_program(Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution.csv")
     read, direct = read_solution(tmp_path / "solution.csv", start), Baseline().run(given, start)
     np.testing.assert_array_equal(read.time_ns, direct.time_ns)

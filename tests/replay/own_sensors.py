@@ -180,12 +180,21 @@ class Late(Speed):
 
 
 class Flat(Speed):
-    """Readings without their second axis."""
+    """Readings without their second axis, each with its own noise."""
 
     def readings(self, dive: Dive) -> UserReadings:
         """Flatten them."""
         found = super().readings(dive)
-        return UserReadings(found.time_ns, found.values[:, 0], found.sd)
+        return UserReadings(found.time_ns, found.values[:, 0], SD_MPS * (1.0 + np.arange(len(found.values))))
+
+
+class Uneven(Speed):
+    """The same in columns."""
+
+    def readings(self, dive: Dive) -> UserReadings:
+        """Have a column of noise."""
+        found = super().readings(dive)
+        return UserReadings(found.time_ns, found.values, SD_MPS * (1.0 + np.arange(len(found.values))[:, None]))
 
 
 NOT_A_CLASS = 3

@@ -211,7 +211,7 @@ def measured_in_outages(word: str, dive: Dive, config: Config) -> Iterator[tuple
     """Yield each outage with the readings of all of its group."""
     whole = sensor_measurement("copy", "m/s", USER + 3, np.zeros(1, np.int64), np.zeros((1, 3)), np.ones(3), axes="xyz")  # type: ignore[arg-type]
     whole = replace(whole, sensor=7, holds_height=True)
-    for outages, sensors in in_outages(dive, config, {word: whole}, outages_of(dive)):
+    for outages, sensors, _ in in_outages(dive, config, {word: whole}, {}, outages_of(dive)):
         found = sensors[word]
         assert (found.kind, found.sensor, found.holds_height) == (USER + 3, 7, True)
         yield from ((outage, found) for outage in outages)

@@ -15,7 +15,7 @@ from insdvl_replay.core.config import Config, Evaluation, Filter, Solution
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SolutionColumns
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.nav.user_measurement import UserReadings, checked_readings, load_user_measurement
+from insdvl_replay.nav.user_measurement import UserMeasurement, UserReadings, checked_readings, load_plugin
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
@@ -270,4 +270,4 @@ class Withheld(Speed):
 )
 def test_names_that_cannot_be_are_reported(word: str, named: str) -> None:
     with pytest.raises(ValueError, match=named):
-        load_user_measurement(f"{HERE}:{word}")
+        load_plugin(f"{HERE}:{word}", UserMeasurement)

@@ -15,7 +15,6 @@ REFUSED = (
     "own_sensors:Nothing",
     "own_sensors:NOT_A_CLASS",
     "own_sensors:Three",
-    "own_sensors:Flat",
     "own_sensors:Six",
     "own_sensors:Leaving",
     "own_sensors:Late",
