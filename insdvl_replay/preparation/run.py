@@ -1,21 +1,21 @@
 """The candidates of a prepared dive, run: over the whole of it, from random starts, and in windows without the DVL.
 
-A candidate is anything that turns a dive and a start into a trajectory, a `History`. Parts that a history lacks are not
-evaluated: a covariance, innovations, runs from other starts, windows without the DVL. The compiled filter leaves the
-interpreter to other threads while it runs; on long dives each filter has its own thread. Filters of the user's are run
-by `user_runs`.
+A candidate is anything that turns a dive and a start into a trajectory, a `History`: a built-in filter, a recorded
+solution, which has one start and knows no other dive than its own, or a filter of the user's, run by `user_runs`. Parts
+that a history lacks are not evaluated: a covariance, innovations, runs from other starts, windows without the DVL. The
+compiled filter leaves the interpreter to other threads while it runs; on long dives each filter has its own thread.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Protocol, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from msgspec.structs import replace as changed
 
-from insdvl_replay.core.config import Config, Initial, Solution
+from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
@@ -49,64 +49,6 @@ T = TypeVar("T")
 WORTH_A_THREAD = 20_000  # IMU samples from which filters run in threads; with fewer, threads cost what they save
 MOST_DRAWN_SAMPLES = 20_000_000  # IMU samples, in all runs from random starts together: three seconds of work
 MOST_DRAWN_TIMES = 5_000  # times of the reference at which the errors of each of these runs are kept
-
-
-@dataclass(frozen=True)
-class RunDive:
-    """A dive as candidates are given it."""
-
-    dive: Dive
-    prepared: Prepared
-    timeline: Timeline
-    cov_ns: TimeNs  # (c,) times at which a history is to hold all of P
-
-
-class RunnableCandidate(Protocol):
-    """Turns a dive and a start into a trajectory."""
-
-    @property
-    def name(self) -> str:
-        """As in the settings."""
-
-    def run(self, dive: RunDive, start: Start) -> History:
-        """Return the trajectory."""
-
-
-@dataclass(frozen=True)
-class BuiltInFilter:
-    """The tool's own filter. It starts at a given start, and can run through windows without the DVL."""
-
-    settings: ResolvedFilter
-
-    @property
-    def name(self) -> str:
-        """As in the settings."""
-        return self.settings.name
-
-    def run(self, dive: RunDive, start: Start) -> History:
-        """Run the filter over the time line of the dive."""
-        begun = replace(dive.prepared, alignment=replace(dive.prepared.alignment, start=start))
-        return run_one(self.settings, begun, dive.timeline, cov_ns=dive.cov_ns)
-
-
-@dataclass
-class RecordedSolution:
-    """A solution of the log: it has one start, knows no other dive than its own, and is aligned with a baseline."""
-
-    name: str
-    settings: Solution
-    baseline: History
-    evaluated_ns: TimeNs  # (c,)
-    motion: ReferenceColumns | None = None  # each of its samples, aligned, once it was run
-    notes: tuple[Note, ...] = ()
-
-    def run(self, dive: RunDive, start: Start) -> History:
-        """Interpolate it at the times of the baseline."""
-        columns, imu = dive.dive.solutions[self.name], dive.dive.imu
-        history, self.motion, self.notes = recorded_history(
-            self.name, columns, self.settings, imu, self.baseline, self.evaluated_ns
-        )
-        return history
 
 
 @dataclass(frozen=True)
@@ -151,22 +93,21 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     """
     report_stage("running the filters")
     return_freed_memory()
-    timeline, start = prepared_timeline(dive, prepared), prepared.alignment.start
-    whole = RunDive(dive, prepared, timeline, np.union1d(plan.evaluated_ns, plan.windows.start_ns))
-    filters = [BuiltInFilter(filter_) for filter_ in prepared.filters]
-    histories = _side_by_side(timeline, lambda candidate: candidate.run(whole, start), filters)
-    recorded = [
-        RecordedSolution(name, settings, histories[0], plan.evaluated_ns) for name, settings in config.solutions.items()
-    ]
-    found = tuple(candidate.run(whole, start) for candidate in recorded)
-    outages = run_outages(whole, config, histories, plan.windows)
-    histories += found
+    timeline, cov_ns = prepared_timeline(dive, prepared), np.union1d(plan.evaluated_ns, plan.windows.start_ns)
+    histories = _side_by_side(
+        timeline, lambda filter_: run_one(filter_, prepared, timeline, cov_ns=cov_ns), prepared.filters
+    )
+    outages = run_outages(dive, prepared, timeline, config, histories, plan.windows)
+    motions, notes = dict[str, ReferenceColumns](), list[Note]()
+    for name, settings in config.solutions.items():
+        found, motions[name], its_notes = recorded_history(
+            name, dive.solutions[name], settings, dive.imu, histories[0], plan.evaluated_ns
+        )
+        histories, notes = (*histories, found), [*notes, *its_notes]
     drawn: tuple[DrawnErrors, ...] = ()
     if plan.starts:
         drawn = with_solutions(run_from_drawn_starts(dive, prepared, plan.starts, plan.seed), histories, dive)
-    motions = {candidate.name: candidate.motion for candidate in recorded if candidate.motion is not None}
-    notes = tuple(found_note for candidate in recorded for found_note in candidate.notes)
-    return Runs(histories, drawn, outages, motions, notes)
+    return Runs(histories, drawn, outages, motions, tuple(notes))
 
 
 def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]) -> tuple[T, ...]:
@@ -178,10 +119,15 @@ def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequen
 
 
 def run_one(
-    filter_: ResolvedFilter, prepared: Prepared, timeline: Timeline, *, cov_ns: TimeNs | None = None
+    filter_: ResolvedFilter,
+    prepared: Prepared,
+    timeline: Timeline,
+    *,
+    start: Start | None = None,  # if not that of the dive
+    cov_ns: TimeNs | None = None,
 ) -> History:
     """Run one filter over the time line of a prepared dive."""
-    start, has_heading_bias = prepared.alignment.start, "heading_bias" in filter_.states
+    start, has_heading_bias = start or prepared.alignment.start, "heading_bias" in filter_.states
     history = run_filter(
         filter_.name,
         timeline,
@@ -222,18 +168,24 @@ def prepared_timeline(dive: Dive, prepared: Prepared, more_ns: TimeNs = NEVER) -
     )
 
 
-def run_outages(dive: RunDive, config: Config, histories: tuple[History, ...], plan: OutagePlan) -> OutageRuns:
+def run_outages(
+    dive: Dive,
+    prepared: Prepared,
+    timeline: Timeline,
+    config: Config,
+    histories: tuple[History, ...],
+    plan: OutagePlan,
+) -> OutageRuns:
     """Run every filter through the windows of a plan, from its history, which holds P at their starts.
 
     User code is given the dive without the pings of each window.
     """
     report_stage("DVL outage test")
-    prepared, groups = dive.prepared, list[tuple[Sequence[Outage], Prepared, Timeline]]()
-    windows_ns = tuple(plan.windows_ns)
-    for windows, sensors, noise in in_outages(dive.dive, config, prepared.sensors, prepared.noise, windows_ns):
+    groups, windows_ns = list[tuple[Sequence[Outage], Prepared, Timeline]](), tuple(plan.windows_ns)
+    for windows, sensors, noise in in_outages(dive, config, prepared.sensors, prepared.noise, windows_ns):
         part = replace(prepared, sensors=sensors, noise=noise)
         is_same = sensors is prepared.sensors
-        groups.append((windows, part, dive.timeline if is_same else prepared_timeline(dive.dive, part)))
+        groups.append((windows, part, timeline if is_same else prepared_timeline(dive, part)))
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
@@ -246,7 +198,7 @@ def run_outages(dive: RunDive, config: Config, histories: tuple[History, ...], p
             found |= {window: outage_run(run_outage(history, line, window, kept, **settings)) for window in windows}
         return tuple(found[window] for window in plan.windows_ns)
 
-    runs = _side_by_side(dive.timeline, outages, prepared.filters, histories)
+    runs = _side_by_side(timeline, outages, prepared.filters, histories)
     distance_m = distance_along_m(prepared.velocities.time_ns, prepared.velocities.velocity_b)
     return OutageRuns(
         plan, distance_m, {filter_.name: run for filter_, run in zip(prepared.filters, runs, strict=True)}
@@ -264,21 +216,19 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
     more than `MOST_DRAWN_TIMES`.
     """
     report_stage("running the filters from random starts")
-    starts, part = drawn_part(dive, prepared, count, seed)
-    reference = part.dive.reference
+    starts, part, prepared = drawn_part(dive, prepared, count, seed)
+    reference, timeline = part.reference, prepared_timeline(part, prepared)
     assert reference is not None
 
-    def run(work: tuple[RunnableCandidate, Start]) -> DrawnErrors:
-        candidate, start = work
-        return run_from_start(candidate.run(part, start), reference, dive.truth)
+    def run(work: tuple[ResolvedFilter, Start]) -> DrawnErrors:
+        filter_, start = work
+        return run_from_start(run_one(filter_, prepared, timeline, start=start), reference, dive.truth)
 
-    runs = list(
-        parallel_map(run, [(BuiltInFilter(filter_), start) for filter_ in prepared.filters for start in starts])
-    )
+    runs = list(parallel_map(run, [(filter_, start) for filter_ in prepared.filters for start in starts]))
     return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
 
 
-def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[tuple[Start, ...], RunDive]:
+def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[tuple[Start, ...], Dive, Prepared]:
     """Draw starts; return them with the part of the dive, and the times of its reference, over which they are run."""
     if dive.reference is None:
         raise ValueError(f"{dive.name}: errors need a reference")
@@ -292,8 +242,7 @@ def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[t
     inside = np.flatnonzero((dive.reference.time_ns >= start_ns) & (dive.reference.time_ns <= end_ns))
     chosen = inside[:: max(1, math.ceil(len(inside) / MOST_DRAWN_TIMES))]
     reference = dive.reference.rows(np.isin(np.arange(len(dive.reference.time_ns)), chosen))
-    dive, prepared = replace(dive, reference=reference), replace(prepared, end_ns=end_ns)
-    return starts, RunDive(dive, prepared, prepared_timeline(dive, prepared), np.empty(0, np.int64))
+    return starts, replace(dive, reference=reference), replace(prepared, end_ns=end_ns)
 
 
 # --- The heading at the start, where only the positions of a reference tell it (``initial.heading_deg = "fit"``).

@@ -40,7 +40,7 @@ from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, given_dive
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.programs import DIVE_FILES, UserProcesses
-from insdvl_replay.preparation.run import BuiltInFilter, RunDive, RunPlan, Runs, drawn_part, prepared_timeline
+from insdvl_replay.preparation.run import RunPlan, Runs, drawn_part, prepared_timeline, run_one
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
 OUTAGE_DIVES: Final = 3  # each lacks every third window: the time between two of them is twice as long as a window
@@ -80,8 +80,7 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
     starts: tuple[Start, ...] = (prepared.alignment.start,)
     outage_dives = _outage_dives(dive, prepared, config, windows)
     if plan.starts:
-        starts, run_dive = drawn_part(dive, prepared, plan.starts, plan.seed)
-        part = run_dive.dive
+        starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
     histories, drawn, notes = list(runs.histories), list(runs.drawn), list(runs.notes)
     outages, printed = dict[str, OutageRuns](), dict[str, str]()
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-") as folder:
@@ -225,7 +224,7 @@ def _outage_dives(dive: Dive, prepared: Prepared, config: Config, windows: Windo
         before = np.searchsorted(dive.imu.time_ns, absent_ns, "right") - 1
         around = np.unique(np.concatenate([before, np.minimum(before + 1, len(dive.imu.time_ns) - 1)]))
         line = prepared_timeline(whole, part, dive.imu.time_ns[around])
-        baseline = BuiltInFilter(part.filters[0]).run(RunDive(whole, part, line, absent_ns[:0]), alignment.start)
+        baseline = run_one(part.filters[0], part, line)
         found.append(GivenDive(f"outage_{number + 1}", _given(given, part), part, baseline, rows, absent))
     return found
 
