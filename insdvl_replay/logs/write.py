@@ -18,7 +18,7 @@ import numpy as np
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import MessageIndex
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from insdvl_replay import __version__
@@ -138,6 +138,7 @@ def write_log(
     batches: Sequence[Batch],
     metadata: Mapping[str, str],
     attachments: Mapping[str, tuple[str, bytes]] | None = None,
+    compression: CompressionType = CompressionType.ZSTD,
 ) -> None:
     """Write messages to a log, which appears under its name when it is complete.
 
@@ -155,7 +156,7 @@ def write_log(
     part = path.with_name(f"{path.name}.part")
     try:
         with part.open("wb") as stream:
-            writer = Writer(stream)
+            writer = Writer(stream, compression=compression)
             writer.start("ros2", LIBRARY)
             frames = {f"frame.{name}": meaning for name, meaning in FRAMES.items()}
             writer.add_metadata("insdvl_replay", {**metadata, **frames, "stamps": _STAMP_POLICY})
@@ -182,7 +183,8 @@ def copy_log(path: Path, logs: Sequence[Path], held_back: Mapping[str, TimeNs | 
     kept = {channel.id: channel for channel in log.channels if held_back.get(channel.topic, NEVER) is not None}
     encodings = {channel.encoding for channel in kept.values()}
     with path.open("wb") as stream:
-        writer, schemas, channels = Writer(stream), dict[tuple[str, str, bytes], int](), dict[int, int]()
+        writer = Writer(stream, compression=CompressionType.NONE)
+        schemas, channels = dict[tuple[str, str, bytes], int](), dict[int, int]()
         writer.start("ros2" if "cdr" in encodings else "ros1" if "ros1" in encodings else "", LIBRARY)
         for channel in kept.values():
             schema = channel.type_name, channel.schema_encoding, channel.schema_data
@@ -277,7 +279,7 @@ def solution(position: Floats, velocity_n: Floats, rpy: Floats) -> dict[str, Col
     return {**columns, "height_m": position[:, 2], "velocity_ned_mps": velocity_n, **angles(rpy)}
 
 
-def write_dive(path: Path, dive: Dive) -> None:
+def write_dive(path: Path, dive: Dive, *, is_compressed: bool = True) -> None:
     """Write a dive as a ROS 2 log; a DVL has four beams or velocities, else it is a ValueError."""
     imu: dict[str, Column] = {
         "orientation_covariance": (_UNKNOWN_VARIANCE, *[0.0] * 8),
@@ -294,7 +296,8 @@ def write_dive(path: Path, dive: Dive) -> None:
         batches.append(stamped("/truth/biases", "insdvl_msgs/msg/SensorBiases", dive.truth.time_ns, IMU, columns))
     for name, sensor in dive.sensors.items():
         batches.append(_sensor_batch(name, sensor))
-    write_log(path, batches, {"version": __version__, "dive": dive.name})
+    compression = CompressionType.ZSTD if is_compressed else CompressionType.NONE
+    write_log(path, batches, {"version": __version__, "dive": dive.name}, compression=compression)
 
 
 def _sensor_batch(name: str, sensor: SensorColumns) -> Batch:

@@ -89,7 +89,7 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
         for test in (whole, *outage_dives):
             files = {kind: Path(folder, name.format(test.name)) for kind, name in DIVE_FILES.items()}
             if "clean" in inputs:
-                write_dive(files["clean"], test.dive)
+                write_dive(files["clean"], test.dive, is_compressed=False)
             if "class" in inputs:
                 files["class"].write_bytes(pickle.dumps(test.dive))
             if "log" in inputs and dive.paths:
