@@ -213,7 +213,6 @@ def json_schema(name: str) -> bytes:
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Report, ResultJson, as_json
     from insdvl_replay.inspection.inventory import Inventory
-    from insdvl_replay.nav.user_candidate import StartFile
     from insdvl_replay.show.render import result_schema
 
     kinds: dict[str, type] = {
@@ -221,13 +220,16 @@ def json_schema(name: str) -> bytes:
         "report": Report,
         "inspection": Inventory,
         "study": ResultJson,
-        "start": StartFile,
         "check": CheckReport,
     }
     if name == "comparison":  # the other schemas do not wait for scipy
         from insdvl_replay.changes.comparison import Comparison
 
         kinds[name] = Comparison
+    if name == "start":  # nor for numba
+        from insdvl_replay.nav.user_candidate import StartFile
+
+        kinds[name] = StartFile
     schema = msgspec.json.schema(kinds[name]) if name in kinds else result_schema(CALIBRATION)
     described: dict[str, Any] = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

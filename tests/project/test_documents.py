@@ -154,6 +154,7 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
         "preparation.filters",
         "preparation.solutions",
         "preparation.candidates",
+        "preparation.solution_files",
         "preparation.programs",
         "preparation.user_runs",
         "nav.user_candidate",
