@@ -78,6 +78,7 @@ calibration: .venv/test.stamp
 judge: .venv/test.stamp
 	$(BIN)/python benchmarks/judge.py
 	$(BIN)/python benchmarks/onboard.py
+	$(BIN)/python benchmarks/foreign.py
 	PYTHONPATH=tests $(BIN)/python benchmarks/noise.py
 
 # Damaged logs, bombs, hostile names, kills, swaps; takes some hour, and fails if there is a defect.

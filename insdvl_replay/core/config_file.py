@@ -42,8 +42,8 @@ KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and pl
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
-PROGRAM_KEYS: Final = ("program", "timeout_s", "input", "version")
-CLASS_KEYS: Final = ("candidate", "version")
+# The keys of filters that are not the tool's own, by kind.
+CANDIDATE_KEYS: Final = (("solution",), ("program", "timeout_s", "input", "version"), ("candidate", "version"))
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
@@ -466,10 +466,8 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
         yield from _wrong_words(filter_.aiding, known, *path, "aiding")
         yield from _wrong_words(filter_.states, MORE_STATES, *path, "states")
         checks = _filter_checks(filter_, held_out, _dotted(*path))
-        if filter_.solution is not None:
-            checks = _solution_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
-        elif filter_.is_user_code:
-            checks = _user_code_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
+        if filter_.solution is not None or filter_.is_user_code:
+            checks = _candidate_checks(filter_, _dotted(*path), is_baseline=name == config.baseline)
         yield from ((path, what, hint) for is_wrong, what, hint in checks if is_wrong)
     hint = "add --allow-code to `run`, `check` or `calibrate`; the code runs with your permissions"
     for name, filter_ in config.filters.items() if not allow_code else ():
@@ -494,21 +492,28 @@ def _wrong_words(words: Sequence[str], known: Collection[str], *path: str) -> It
             yield path, f"{key} '{word}' is given twice", "leave one of them out"
 
 
-def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
-    """Check that a solution that is read is not the baseline and has no other keys of a filter."""
-    solution, default = spelled_out(filter_.solution or ""), Filter()
+def _candidate_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
+    """Check that a solution, a program or a class is not the baseline, and has no keys of the tool's own filters."""
+    own = next(keys for keys in CANDIDATE_KEYS if getattr(filter_, keys[0]) is not None)
+    kind, default, program = own[0], Filter(), filter_.program
     others = [name for name in Filter.__struct_fields__ if getattr(filter_, name) != getattr(default, name)]
-    names = " and ".join(f"{key}.{name}" for name in others if name != "solution")
+    names = " and ".join(f"{key}.{name}" for name in others if name not in own)
+    what, not_run, why = "your code", "", "the tool judges it against one of its own filters"
+    if kind == "solution":
+        what, not_run, why = "read", " and not run", "all filters begin from the baseline's start"
+    lacking = [place for place in ("{dive}", "{solution}") if not any(place in word for word in program or ())]
+    example = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
+    solution = spelled_out(filter_.solution or "")
     of_topic = next((name for name in ("fix", *TOPIC_KEYS) if getattr(solution, name) is not None), "")
     return [
         (
             is_baseline,
-            f"{key}.solution is read and cannot be the baseline: all filters begin from the baseline's start",
+            f"{key}.{kind} is {what} and cannot be the baseline: {why}",
             'put a filter with aiding first, such as [filters.baseline] with aiding = ["velocity"]',
         ),
-        (len(others) > 1, f"{key}.solution is read and not run, so {names} has no use", "leave one of them out"),
+        (names != "", f"{key}.{kind} is {what}{not_run}, so {names} has no use", "leave one of them out"),
         (
-            (solution.topic is None) == (solution.file is None),
+            kind == "solution" and (solution.topic is None) == (solution.file is None),
             f"{key}.solution {'names no topic and no file' if solution.topic is None else 'names a topic and a file'}",
             'solution = "/odometry", or solution = "onboard.tum"',
         ),
@@ -517,28 +522,10 @@ def _solution_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tu
             f"{key}.solution is a file, and {key}.solution.{of_topic} is for topics only",
             "leave it out. Each line has time x y z qx qy qz qw; solution.axes names the axes",
         ),
-    ]
-
-
-def _user_code_checks(filter_: Filter, key: str, *, is_baseline: bool) -> list[tuple[bool, str, str]]:
-    """Check that a program or a class is not the baseline, and has no keys of the tool's own filters."""
-    program, default = filter_.program, Filter()
-    kind, own = ("candidate", CLASS_KEYS) if program is None else ("program", PROGRAM_KEYS)
-    others = [key for key in Filter.__struct_fields__ if getattr(filter_, key) != getattr(default, key)]
-    names = " and ".join(f"{key}.{name}" for name in others if name not in own)
-    lacking = [place for place in ("{dive}", "{solution}") if not any(place in word for word in program or ())]
-    example = 'program = ["./my_filter", "{dive}", "{start}", "{solution}"]'
-    return [
-        (
-            is_baseline,
-            f"{key}.{kind} is your code and cannot be the baseline: the tool judges it against one of its own filters",
-            'put a filter with aiding first, such as [filters.baseline] with aiding = ["velocity"]',
-        ),
-        (names != "", f"{key}.{kind} is your code, so {names} has no use", "leave one of them out"),
         (program == (), f"{key}.program is empty", example),
         (bool(program and lacking), f"{key}.program has no argument with {' and '.join(lacking)}", example),
         (
-            program is None and not _is_class(filter_.candidate),
+            kind == "candidate" and not _is_class(filter_.candidate),
             f"{key}.candidate '{filter_.candidate}' is not of the form module:Class",
             'candidate = "my_package.module:MyFilter"',
         ),
@@ -615,9 +602,8 @@ def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[s
     names = section.__struct_fields__
     if isinstance(section, Filter):
         # Of an onboard solution, a program or a class only its own keys.
-        kinds = (("solution",), PROGRAM_KEYS, CLASS_KEYS)
-        others = tuple(name for name in names if name not in {*PROGRAM_KEYS, *CLASS_KEYS} - {"version"})
-        names = next((keys for keys in kinds if getattr(section, keys[0]) is not None), others)
+        others = tuple(name for name in names if name not in ("program", "timeout_s", "input", "candidate"))
+        names = next((keys for keys in CANDIDATE_KEYS if getattr(section, keys[0]) is not None), others)
     for name in names:
         value = getattr(section, name)
         if changed_only and value == default[name]:

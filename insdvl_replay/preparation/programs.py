@@ -167,14 +167,15 @@ def run_class() -> None:
             dive_file, start = pickle.load(asked)
             answer: Solution | Exception
             try:
-                answer = _solution_of(sys.argv[1], dive_file, start)
+                answer = solution_of_class(sys.argv[1], dive_file, start)
             except (CandidateError, ConfigError) as error:
                 answer = error
             answers.write(pickle.dumps(answer))
             answers.flush()
 
 
-def _solution_of(word: str, dive_file: Path, start: CandidateStart) -> Solution:
+def solution_of_class(word: str, dive_file: Path, start: CandidateStart) -> Solution:
+    """Import a class, run it over a dive, from a start, and check what it returns."""
     try:
         kind = load_class(word, Candidate)
     except ValueError as error:
