@@ -24,6 +24,7 @@ from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.write import components, stamped, write_log
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
+from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.programs import run_as_program
 from insdvl_replay.preparation.solution_files import read_solution, write_solution
 from insdvl_replay.replay import Replay, replay_dive, replay_log
@@ -306,9 +307,14 @@ def test_a_class_that_fails(
         (f"{__name__}:config", "is not a class derived from Candidate"),
     ],
 )
-def test_a_class_that_is_not_there_is_a_mistake_in_the_settings(word: str, reason: str, dive: Dive) -> None:
-    with pytest.raises(ConfigError, match=re.escape(f"{word} {reason}")):
-        replay_dive(dive, config(Filter(candidate=word)))
+def test_a_class_that_is_not_there_is_reported(word: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(reason)):
+        load_class(word, Candidate)
+
+
+def test_a_class_that_is_not_there_is_an_error_of_the_settings(dive: Dive) -> None:
+    with pytest.raises(ConfigError, match=r":Failng is not in .*; the nearest name is Failing"):
+        replay_dive(dive, config(Filter(candidate=f"{__name__}:Failng")))
 
 
 class Scaling(Candidate):
