@@ -17,12 +17,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from insdvl_replay import logs
 from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.errors import ConfigError, visible
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import failure_text, load_class
-from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solution, read_solution, write_solution
+from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solution, read_solution
 
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
@@ -197,4 +199,6 @@ def run_as_program(kind: type[Candidate], dive_file: Path, start_file: Path, sol
     dive = logs.read_dive(dive_file, Config())
     if sensors := tuple(_TOPICS[channel.topic] for channel in dive.channels if channel.topic in _TOPICS):
         dive = logs.read_dive(dive_file, Config(evaluation=Evaluation(held_out=sensors)))
-    write_solution(solution_file, kind().run(dive, start))
+    solution = checked_solution(kind().run(dive, start))
+    with solution_file.open("wb") as file:
+        np.savez(file, **{name: column for name, column in vars(solution).items() if column is not None})

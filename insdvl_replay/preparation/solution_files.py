@@ -1,9 +1,10 @@
-"""Files of solutions: what a program writes as CSV, MCAP or TUM, and what the tool writes of a class as CSV.
+"""Files of solutions: what a program writes as CSV, MCAP or TUM, and a class that is run as a program as npz.
 
 The first bytes of a file determine its format, not its name.
 """
 
 import io
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -17,7 +18,7 @@ from insdvl_replay.core.errors import LogError, hint_for, read_regular, visible
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m
-from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution, misalignment_cov
 
 MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
@@ -77,20 +78,26 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
         raise CandidateError(text) from error
     if not data.strip():
         raise CandidateError("wrote an empty solution")
+    if data.startswith(b"PK"):
+        try:
+            with np.load(io.BytesIO(data)) as columns:
+                return checked_solution(Solution(**columns))
+        except (TypeError, ValueError, zipfile.BadZipFile) as error:
+            raise CandidateError(f"wrote a solution that is not of run_as_program: {error}") from error
     if not data.startswith(logs.MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
         return checked_solution(_read_csv(data))
     try:
-        columns, notes = logs.read_solution(path)
+        read, notes = logs.read_solution(path)
     except LogError as error:
         raise CandidateError(f"wrote a solution that cannot be read: {visible(error.inside(path))}") from error
     if wrong := next((note for note in notes if note.severity == Severity.WARNING), None):
         raise CandidateError(f"wrote a solution that cannot be used: {visible(wrong.text)}")
-    motion, position = columns.motion, columns.motion.position
-    if columns.moved_n is not None:  # from an origin of its own: the first of them is where the program was started
-        from_first = columns.moved_n - columns.moved_n[int(np.argmax(np.isfinite(columns.moved_n).all(axis=1)))]
+    motion, position = read.motion, read.motion.position
+    if read.moved_n is not None:  # from an origin of its own: the first of them is where the program was started
+        from_first = read.moved_n - read.moved_n[int(np.argmax(np.isfinite(read.moved_n).all(axis=1)))]
         position = moved_position(np.broadcast_to(start.position, from_first.shape), from_first)
-    cov_ns = columns.cov_ns if np.isfinite(columns.cov).any() else None
-    given = position, motion.velocity_n, motion.mat_nb, columns.cov
+    cov_ns = read.cov_ns if np.isfinite(read.cov).any() else None
+    given = position, motion.velocity_n, motion.mat_nb, read.cov
     placed, velocity_n, mat_nb, cov = (values if np.isfinite(values).any() else None for values in given)
     return Solution(motion.time_ns, placed, velocity_n, mat_nb, cov, cov_ns)
 
@@ -159,36 +166,3 @@ def _read_csv(data: bytes) -> Solution:
         innovation,
         None if innovation_sd is None else innovation_sd[:, :, None] ** 2 * np.eye(3),
     )
-
-
-def write_solution(path: Path, solution: Solution) -> None:
-    """Write a solution as CSV: of covariances the diagonals, if there is one for each row."""
-    import pandas as pd
-
-    position, mat_nb = solution.position, solution.mat_nb
-    rpy = None if mat_nb is None else rpy_from_mat(mat_nb)
-    values = {
-        POSITION: None if position is None else position / [DEG, DEG, 1.0],
-        VELOCITY: solution.velocity_n,
-        ATTITUDE: None if rpy is None else rpy / DEG,
-        INNOVATION: solution.innovation_b,
-    }
-    sds = dict[tuple[str, ...], Floats]()
-    if solution.innovation_cov is not None:
-        sds[INNOVATION] = np.sqrt(np.diagonal(solution.innovation_cov, axis1=1, axis2=2))
-    if solution.cov is not None and solution.cov_ns is None:
-        sd = np.sqrt(np.diagonal(solution.cov, axis1=1, axis2=2))
-        sds[VELOCITY] = sd[:, :3]
-        if rpy is not None:
-            level_nb = mat_from_rpy(rpy * [0.0, 0.0, 1.0])
-            level_cov = np.swapaxes(level_nb, 1, 2) @ solution.cov[:, 3:6, 3:6] @ level_nb
-            sds[ATTITUDE] = np.sqrt(np.diagonal(level_cov, axis1=1, axis2=2)) / DEG
-        if position is not None and np.isfinite(sd[:, 6:]).any():
-            sds[POSITION] = np.abs(moved_position(position, sd[:, 6:]) - position) / [DEG, DEG, 1.0]
-    columns: dict[str, Any] = {"time_ns": solution.time_ns}
-    for names, given in values.items():
-        if given is not None:
-            columns |= dict(zip(names, given.T, strict=True))
-        if names in sds:
-            columns |= {f"{name}_sd": column for name, column in zip(names, sds[names].T, strict=True)}
-    pd.DataFrame(columns).to_csv(path, index=False)

@@ -17,22 +17,25 @@ from insdvl_replay.core.config import Config, Evaluation, Filter
 from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import Dive, DvlColumns
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import EvidenceRow, each_table
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m, quat_enu_flu
+from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.write import components, stamped, write_log
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.programs import run_as_program
-from insdvl_replay.preparation.solution_files import read_solution, write_solution
+from insdvl_replay.preparation.solution_files import read_solution
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 
 HERE = "baseline_as_candidate"
 FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
+HEADER = "time_ns,latitude_deg,longitude_deg,height_m,velocity_n_mps,velocity_e_mps,velocity_d_mps,roll_deg,pitch_deg,heading_deg"
 FIRST_LINES = "import json, pathlib, sys\ndive, start, solution = map(pathlib.Path, sys.argv[1:])\n"
 
 
@@ -53,6 +56,19 @@ def written(dive: Dive, alone: Replay, tmp_path_factory: pytest.TempPathFactory)
     path, baseline = tmp_path_factory.mktemp("solution") / "solution.csv", alone.histories[0]
     write_solution(path, Solution(baseline.time_ns, baseline.position, baseline.velocity_n, baseline.mat_nb))
     return path
+
+
+def write_solution(path: Path, solution: Solution) -> None:
+    """Write a solution as a program does, with all digits."""
+    assert solution.position is not None
+    assert solution.velocity_n is not None
+    assert solution.mat_nb is not None
+    degrees = solution.position / [DEG, DEG, 1.0], rpy_from_mat(solution.mat_nb) / DEG
+    numbers = np.column_stack([degrees[0], solution.velocity_n, degrees[1]]).tolist()
+    rows = (
+        ",".join(map(repr, [time_ns, *row])) for time_ns, row in zip(solution.time_ns.tolist(), numbers, strict=True)
+    )
+    path.write_text("\n".join([HEADER, *rows, ""]))
 
 
 def config(mine: Filter | None = None, **evaluation: Any) -> Config:
@@ -414,8 +430,8 @@ def test_the_files_of_a_program_hold_what_a_class_is_given(dive: Dive, tmp_path:
     given = Dive("dive", dive.imu, DvlColumns(velocities.time_ns, velocity_d=velocities.velocity_b))
     write_dive(tmp_path / "dive.mcap", given)
     (tmp_path / "start.json").write_bytes(start.to_json())
-    run_as_program(Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution.csv")
-    read, direct = read_solution(tmp_path / "solution.csv", start), Baseline().run(given, start)
+    run_as_program(Baseline, tmp_path / "dive.mcap", tmp_path / "start.json", tmp_path / "solution")
+    read, direct = read_solution(tmp_path / "solution", start), Baseline().run(given, start)
     np.testing.assert_array_equal(read.time_ns, direct.time_ns)
     np.testing.assert_allclose(read.velocity_n, direct.velocity_n, atol=1e-9)
     np.testing.assert_allclose(read.position, direct.position, atol=1e-12)
@@ -496,6 +512,7 @@ def test_solutions_in_other_formats_are_recognised_by_their_first_bytes(kind: st
         (b"5 0 0 0 0 0 0 1\n4 0 0 0 0 0 0 1\n", "an earlier time than the line above"),
         (b"5 0 0 0\n", "line 1 is no pose"),
         (b"\x89MCAP0\r\n", "cannot be read"),
+        (b"PK\x03\x04 and more", "not of run_as_program"),
     ],
 )
 def test_files_that_are_no_solutions(content: bytes, reason: str, dive: Dive, tmp_path: Path) -> None:
