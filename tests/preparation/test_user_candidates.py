@@ -28,14 +28,14 @@ from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.programs import run_as_program
-from insdvl_replay.preparation.solution_files import read_solution
+from insdvl_replay.preparation.solution_files import ATTITUDE, POSITION, VELOCITY, read_solution
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
 
 HERE = "baseline_as_candidate"
 FILTERS = {"baseline": Filter(aiding=("velocity",)), "beams": Filter(aiding=("beams",))}
-HEADER = "time_ns,latitude_deg,longitude_deg,height_m,velocity_n_mps,velocity_e_mps,velocity_d_mps,roll_deg,pitch_deg,heading_deg"
+HEADER = ",".join(["time_ns", *POSITION, *VELOCITY, *ATTITUDE])
 FIRST_LINES = "import json, pathlib, sys\ndive, start, solution = map(pathlib.Path, sys.argv[1:])\n"
 
 
