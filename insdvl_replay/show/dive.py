@@ -28,7 +28,6 @@ from insdvl_replay.core.result import (
     Part,
     Report,
     Result,
-    Sentences,
     Title,
     flattened,
 )
@@ -182,9 +181,17 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
             is_read = bool(report.config.get("filters", {}).get(name, {}).get("solution"))
             return _how_measured(max(row.starts for row in rows), is_read=is_read)
         case "convergence":
+            candidate = report.filters[name]
+            means = (
+                f" Mean of nine states: {percent(candidate.mean_improvement_pct)} smaller sigma at the end, reached "
+                f"{percent(candidate.mean_convergence_improvement_pct)} faster; without any change "
+                f"{percent(candidate.mean_convergence_unchanged_pct)}; by the nearest approach "
+                f"{percent(candidate.mean_nearest_approach_improvement_pct)}."
+            )
             return (
                 f"{report.baseline} reaches the target at {number(rows[0].baseline_s)} s. nearest: time at which the "
                 f"sigma of {name} is nearest to the target, as Levy and Klein count. sigma may grow again after it."
+                f"{means if candidate.verdict != Verdict.NOT_EVALUATED else ''}"
             )
         case "reference_error":
             errors = of_filter(name, report.tables.reference_error)
@@ -328,7 +335,7 @@ def dive_document(
         *figures,
         Heading("Tables"),
         Only(PAGE, tuple(replace(table, folded=True) for table in (*outage, *references, *tables))),
-        Only(PRINTED, (*tables, Sentences(closing_lines(report)))),
+        Only(PRINTED, tuple(tables)),
         *last,
     ]
 
@@ -351,20 +358,6 @@ def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     sentences = [answer.measured, answer.predicted, trust_sentence(report.tables, name, report.baseline)]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
     return section(answer, sentences, [evidence_forest(title, answer, most)])
-
-
-def closing_lines(report: Report) -> tuple[str, ...]:
-    """Return a line for each candidate with its mean predicted improvement."""
-    consistency_words = "reference error and consistency" if has_reference(report) else "outage and consistency"
-    return tuple(
-        f"{name}: predicted by its own covariance, mean of nine states: "
-        f"{percent(means.mean_improvement_pct)} smaller sigma, "
-        f"{percent(means.mean_convergence_improvement_pct)} faster convergence "
-        f"(a filter without any change has {percent(means.mean_convergence_unchanged_pct)}; by the nearest approach "
-        f"{percent(means.mean_nearest_approach_improvement_pct)}). To check it, see {consistency_words}."
-        for name, means in report.filters.items()
-        if means.verdict != Verdict.NOT_EVALUATED
-    )
 
 
 def dive_page(report: Report, first: Sequence[Panel], figures: Sequence[Figure], strips: str, settings: str) -> bytes:
