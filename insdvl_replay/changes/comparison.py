@@ -114,14 +114,13 @@ def compare_results(
         require_known("table", name, [layout.name for layout in LAYOUTS], most=len(LAYOUTS))
     layouts = [layout for layout in LAYOUTS if not tables or layout.name in tables]
     (before, notes_before), (after, notes_after) = read_results(old), read_results(new)
-    matching = match_dives(before, after)
+    matching = match_dives(_with_new_names(before, filter_pairs), after)
     both = [(was, is_, how) for was, is_, how in matching if was and is_]
     for name in dives:
         require_known("dive", name, [is_.name for _, is_, _ in both])
     if dives:
         matching, both = [], [match for match in both if match[1].name in dives]
-    renamed = _with_new_names([was for was, _, _ in both], filter_pairs)
-    pairs = [(was, is_) for was, (_, is_, _) in zip(renamed, both, strict=True)]
+    pairs = [(was, is_) for was, is_, _ in both]
     frames = [[*paired_rows(was.report, is_.report, layouts)] for was, is_ in pairs]
     notes = [*notes_before, *notes_after, *_notes_on_names(pairs, frames)]
     known = dict.fromkeys(column for frame in frames for row in frame for column in (*row.new, *row.old))
@@ -149,7 +148,7 @@ def compare_results(
         counts=_counts(changes),
         worst=_largest(changes, 1.0),
         best=_largest(changes, -1.0),
-        differences=_differences([(was, is_) for was, is_, _ in both]),
+        differences=_differences(pairs),
         dives=tuple(compared),
         aggregates=aggregates(changes),
         changes=tuple(changes),
