@@ -12,6 +12,7 @@ from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive
+from insdvl_replay.logs.formats.fields import open_reader
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.replay import replay_log
 
@@ -135,6 +136,18 @@ def test_dates_and_comments_and_quotes_are_read(tmp_path: Path) -> None:
     times = open_recording(folder / "dvl.csv").log_times()[0]
     assert str(times[0].astype("M8[ns]")) == "2024-01-01T00:00:00.000000000"
     np.testing.assert_array_equal(np.diff(times), 200_000_000)
+
+
+def test_columns_of_one_title_and_other_encodings_of_text(tmp_path: Path) -> None:
+    text = "Time [s];v;v;Höhe (m)\r\n" + "".join(f"{i};{i}.5;{i}.25;-1\r\n" for i in range(20))
+    for name, encoding in (("a.csv", "utf-8-sig"), ("b.csv", "utf-16"), ("c.csv", "latin-1")):
+        (tmp_path / name).write_bytes(text.encode(encoding))
+        dive_file = open_recording(tmp_path / name)
+        (channel,) = dive_file.channels
+        (block,) = dive_file.blocks({channel.id})
+        columns = open_reader(channel, ["v", "v_", "4", "3"]).columns(block)
+        assert [columns[path][7].tolist() for path in ("v", "v_", "4", "3")] == [[7.5], [7.25], [-1.0], [7.25]]
+        assert not dive_file.notes
 
 
 def test_arrays_are_grouped_by_length_and_by_time(tmp_path: Path) -> None:

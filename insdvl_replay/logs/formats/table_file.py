@@ -10,9 +10,9 @@ import csv
 import re
 import zipfile
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from io import BytesIO, StringIO
+from io import BytesIO
 from typing import Any, Final
 
 import msgspec
@@ -35,8 +35,8 @@ _UNIT_WORDS: Final = {
 }  # fmt: skip
 _TIME: Final = re.compile(r"(^|[_.])(time|times|timestamp|stamp|t|utc|epoch|clock|tow)([_.]?(s|sec|ms|us|ns))?$")
 _ENDS_WITH_UNIT: Final = re.compile(r"_(s|sec|ms|us|ns|nsec|usec|msec)$")
-_SEPARATORS: Final = ("\t", ";", "|", ",")  # in text with several of them the first one separates
-_COMMENTS: Final = ("#", "%")
+_SEPARATORS: Final = (b"\t", b";", b"|", b",")  # in text with several of them the first one separates
+_COMMENTS: Final = (b"#", b"%")
 _DECIMAL_COMMA: Final = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 _FEW: Final = 0.05  # share of the rows or cells that may be wrong; more of them are another format
 _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
@@ -144,7 +144,7 @@ class TableFile(LogFile):
         try:
             if start.startswith(b"PAR1"):
                 frame = pd.read_parquet(BytesIO(content))
-                yield self._named(self.path.name, {str(name): frame[name].to_numpy() for name in frame})
+                yield self._named(self.path.name, [(str(name), frame[name].to_numpy()) for name in frame])
                 return
             arrays = _arrays(content, start)
         except ImportError as error:
@@ -160,16 +160,19 @@ class TableFile(LogFile):
 
     def _text(self, content: bytes) -> _Table:
         """Read a table that is text: its separator, header and rows must agree."""
-        name, text = self.path.name, content.decode("utf-8-sig", "replace")
-        lines = [line for line in re.split(r"\r\n|\n|\r", text) if line.strip()]
+        name = self.path.name
+        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+            content = content.decode("utf-16", "replace").encode()
+        content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        lines = [line for line in content.split(b"\n") if line.strip()]
         comments = [line for line in lines if line.lstrip().startswith(_COMMENTS)]
         lines = [line for line in lines if not line.lstrip().startswith(_COMMENTS)]
-        if lines and text[-1] not in "\r\n":
+        if lines and not content.endswith(b"\n"):
             lines.pop()
             self._note(
                 "table_cut", name, "the last line does not end, so it may be cut; left out", hint="copy it again"
             )
-        sample = lines[1:200] or lines or [""]
+        sample = lines[1:200] or lines or [b""]
         usual = {mark: Counter(line.count(mark) for line in sample).most_common(1)[0][0] for mark in _SEPARATORS}
         separator = next((mark for mark, count in usual.items() if count), None)
         head = 0
@@ -180,9 +183,10 @@ class TableFile(LogFile):
         if width < 2:
             what = f"is no table: {counted(len(cells), 'line')} with numbers, {counted(width, 'column')}"
             raise UnusableFileError(what, "give a table of numbers whose first line names the columns", self.path)
-        titles = lines[0].split(separator) if head else []
-        if not head and comments and len(comments[-1].strip(" #%").split(separator)) == width:
-            titles = comments[-1].strip(" #%").split(separator)
+        header = lines[0] if head else comments[-1].strip(b" #%") if comments else b""
+        titles = header.decode("utf-8", "replace").split(separator.decode() if separator else None)
+        if not head and len(titles) != width:
+            titles = []
         if titles and len(titles) != width:
             what = f"has {counted(len(titles), 'name')} in its first line, but {counted(width, 'cell')} in its rows"
             raise LogError(what, "one separator for names and rows, and a decimal point", self.path)
@@ -199,18 +203,21 @@ class TableFile(LogFile):
             clause = counted_clause(wrong, f"rows have other than {width} cells")
             where = int(np.argmin(fits)) + 1
             self._note("table_rows", name, f"{clause}; left out, the first is row {where}", wrong, "copy it again")
-        joined = "\n".join(line if fits[i] else (separator or " ") * (width - 1) for i, line in enumerate(lines[head:]))
+        empty = (separator or b" ") * (width - 1)
+        joined = b"\n".join(line if is_row else empty for line, is_row in zip(lines[head:], fits, strict=True))
+        del lines, content  # of a long dive they are large
         frame = pd.read_csv(
-            StringIO(joined), sep=separator or r"\s+", header=None, names=range(width), index_col=False,
-            skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
+            BytesIO(joined), sep=separator.decode() if separator else r"\s+", header=None, names=range(width),
+            index_col=False, skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
+            encoding_errors="replace",
         )  # fmt: skip
         titles = [title.strip().strip("\"'") for title in titles] or [f"column_{i + 1}" for i in range(width)]
-        return self._named(name, {title: frame[i].to_numpy() for i, title in zip(frame, titles, strict=True)})
+        return self._named(name, [(title, frame[i].to_numpy()) for i, title in zip(frame, titles, strict=True)])
 
-    def _named(self, topic: str, columns: Mapping[str, NDArray[Any]]) -> _Table:
+    def _named(self, topic: str, columns: Iterable[tuple[str, NDArray[Any]]]) -> _Table:
         """Make a table of columns by their titles; what is not a number in a column of numbers is missing."""
         table = _Table(topic, {}, {})
-        for title, given in columns.items():
+        for title, given in columns:
             name, values = clean_name(title) or "column", given
             while name in table.columns:
                 name += "_"
@@ -285,7 +292,7 @@ class TableFile(LogFile):
                 named = {f"column_{i + 1}": values for i, values in enumerate(first.T)}
             elif all(name.lower().startswith(f"{label}_") for name in columns):
                 named = {name[len(label) + 1 :]: values for name, values in columns.items()}
-            yield self._named(topic, named)
+            yield self._named(topic, named.items())
 
     # --- Times.
 
@@ -361,9 +368,9 @@ def _first_word(name: str) -> str:
     return re.split(r"[_.\s]", name)[0].lower()
 
 
-def _is_number(cell: str) -> bool:
+def _is_number(cell: bytes) -> bool:
     try:
-        float(cell.strip().strip('"').replace(",", "."))
+        float(cell.strip().strip(b'"').replace(b",", b"."))
     except ValueError:
         return False
     return True
