@@ -22,7 +22,10 @@ def Comment(comment: str) -> Meta:  # noqa: N802
 
 
 AXES = 'frd | flu | a signed permutation such as "+x-y-z"; left out: by type, else frd'
-STAMP = "header | log_time | publish_time | a field path; left out: by type, else header"
+STAMP = (
+    "header | log_time | publish_time | a field path | of a table also a column with its unit, such as t [ms], or a "
+    "rate, such as 100 Hz; left out: by type, else header"
+)
 FoundTopic = Annotated[str | None, Comment("left out: found by type")]
 FieldPath = Annotated[str | None, Comment("field path; left out: by type")]
 Stamp = Annotated[str | None, Comment(STAMP)]

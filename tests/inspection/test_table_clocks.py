@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from made_tables import tables_of
 
+from insdvl_replay.api import replay_log
 from insdvl_replay.core.config import Config
 from insdvl_replay.geometry.frames import solve_beams
 from insdvl_replay.inspection.automatic import find_settings
@@ -15,6 +16,7 @@ from insdvl_replay.inspection.table_clocks import stretched_rate_hz
 from insdvl_replay.sim.dive import simulate_dive
 
 AKIT = Path(__file__).resolve().parents[3] / "shared" / "data" / "akit_csv"
+SNAPIR = AKIT.parent / "snapir" / "snapir_01.mcap"
 needs_dives = pytest.mark.skipif(not AKIT.is_dir(), reason="needs the recorded dives in ../shared/data")
 
 
@@ -94,8 +96,20 @@ def test_faults_of_a_recorded_dive_are_found() -> None:
     """Its README tells what they are, to some 5 ms."""
     found = {setting.key: setting for setting in propose_settings(AKIT, Config()).settings}
     assert [found[f"{role}.stamp"].value for role in ("imu", "dvl", "reference")] == ["100 Hz", "1 Hz", "1 Hz"]
-    assert "0.25% too slow" in found["dvl.stamp"].seen
+    assert "0.25 % too slow" in found["dvl.stamp"].seen
     assert found["reference.latency_s"].value == pytest.approx(0.416, abs=0.01)
     assert found["dvl.latency_s"].value == pytest.approx(-1.018, abs=0.02)
     assert found["reference.height"].value == "altitude"
     assert find_settings([[AKIT]], Config()).config.imu.axes == "+x-y+z"
+
+
+@needs_dives
+@pytest.mark.nightly
+def test_a_dive_as_published_is_as_good_as_corrected() -> None:
+    of_tables, of_log = (replay_log(path, auto=True).tables for path in (AKIT, SNAPIR))
+    errors_m = []
+    for tables in (of_tables, of_log):
+        evidence = tables["evidence"]
+        errors_m.append(float(evidence[evidence.quantity == "position"].baseline.iloc[0]))
+        assert set(tables["consistency"].verdict) <= {"consistent", "conservative"}
+    assert errors_m[0] == pytest.approx(errors_m[1], rel=0.2)
