@@ -81,7 +81,7 @@ class UserProcesses:
             process = self._idle.get_nowait()
         except queue.Empty:
             path = os.pathsep.join(entry or "." for entry in sys.path)
-            command = [sys.executable, "-u", "-c", f"from {__name__} import run_class; run_class()", word]
+            command = [sys.executable, "-P", "-u", "-c", f"from {__name__} import run_class; run_class()", word]
             process = self._started(command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path})
         assert process.stdin is not None
         assert process.stdout is not None

@@ -333,6 +333,15 @@ def test_a_class_that_is_not_there_is_an_error_of_the_settings(dive: Dive) -> No
         replay_dive(dive, config(Filter(candidate=f"{__name__}:Failng")))
 
 
+def test_files_of_the_current_folder_are_not_modules_of_a_class(
+    dive: Dive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pickle.py").write_text("raise SystemExit(3)\n")
+    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Failing")))
+    assert "ZeroDivisionError: here" in replay.verdicts["mine"].sentence
+
+
 class Scaling(Candidate):
     """A class that changes what it is given."""
 
