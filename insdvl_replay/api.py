@@ -259,8 +259,7 @@ def calibrate(
     hold_out : sequence of str or float
         Dives that test the result: names, or a share between 0 and 1.
     """
-    from insdvl_replay.calibration.answer import answer_of
-    from insdvl_replay.calibration.dives import calibrate_dives, require_groups
+    from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
     from insdvl_replay.calibration.innovations import read_dive
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
 

@@ -8,9 +8,9 @@ from typing import Any, Final
 import numpy as np
 
 from insdvl_replay import __version__
-from insdvl_replay.calibration.answer import answer_of
 from insdvl_replay.calibration.calibration import AXES, Calibration
 from insdvl_replay.calibration.certainty import correlation_matrix, mean_change, one_by_one
+from insdvl_replay.calibration.dives import answer_of
 from insdvl_replay.calibration.fit import delay_profile
 from insdvl_replay.calibration.innovations import (
     DELAY,

@@ -194,8 +194,7 @@ def calibrate(
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o calibrated.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
-    from insdvl_replay.calibration.answer import answer_of
-    from insdvl_replay.calibration.dives import calibrate_dives, require_groups
+    from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
     from insdvl_replay.cli.screen import CALIBRATION, compiling, progress, written
     from insdvl_replay.core.config_file import load_config

@@ -14,9 +14,8 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from insdvl_replay.calibration.answer import answer_of
 from insdvl_replay.calibration.calibration import Calibration
-from insdvl_replay.calibration.dives import calibrate_dives
+from insdvl_replay.calibration.dives import answer_of, calibrate_dives
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.core.config import Config, Dvl, Initial, Noise

@@ -12,9 +12,9 @@ import pytest
 from browser import PROGRAM, opened_browser
 from built_in import ReadDive, built_in_otherwise
 
-from insdvl_replay.calibration.answer import answer_of
 from insdvl_replay.calibration.calibration import Calibration, calibrate
 from insdvl_replay.calibration.certainty import correlation_matrix
+from insdvl_replay.calibration.dives import answer_of
 from insdvl_replay.calibration.fit import scatter_of
 from insdvl_replay.calibration.innovations import LABELS
 from insdvl_replay.calibration.output import DRAWN, calibration_figures, calibration_result, calibration_toml
