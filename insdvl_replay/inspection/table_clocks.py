@@ -59,8 +59,8 @@ def table_clock_settings(log: Recording, config: Config) -> Iterator[Setting]:
         if rate_hz is not None:
             count, end_s = len(time_ns), float(time_ns[-1]) / NS_PER_S
             text = (
-                f"{source.topic}: its clock is {100.0 / (count - 1):.2g} % too slow: {count} rows in equal steps end at "
-                f"{end_s:g} s; at {rate_hz:g} Hz they end a step earlier"
+                f"{source.topic}: its clock is {100.0 / (count - 1):.2g} % too slow: {count} rows in equal steps end "
+                f"at {end_s:g} s; at {rate_hz:g} Hz they end a step earlier"
             )
             rates.append(Setting(f"{role}.stamp", f"{rate_hz:g} Hz", text))
     yield from rates
