@@ -1,5 +1,6 @@
 """A comparison on a screen, as a page and in files: the answers first, then what else changed."""
 
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
@@ -205,8 +206,20 @@ def _title(comparison: Comparison) -> str:
 
 
 def _changed_settings(comparison: Comparison) -> list[str]:
-    """Return the settings that differ, each once, with the number of its dives if it does not differ in all."""
-    return [_difference_text(item, item.key, comparison) for item in comparison.differences if item.block == "config"]
+    """Return the settings that differ, each once, with the number of its dives if it does not differ in all.
+
+    The keys of a filter that only one side has say nothing more than its name.
+    """
+    found = [item for item in comparison.differences if item.block == "config"]
+    added = re.compile(r"filters\.(.+)\.aiding")
+    one_sided = {
+        match[1]: "old" if item.new is None else "new"
+        for item in found
+        if (match := added.fullmatch(item.key)) and None in (item.old, item.new)
+    }
+    own_keys = tuple(f"filters.{name}." for name in one_sided)
+    texts = [_difference_text(item, item.key, comparison) for item in found if not item.key.startswith(own_keys)]
+    return [*texts, *(f"filter {name} only in the {side} results" for name, side in one_sided.items())]
 
 
 def _difference_text(item: Difference, name: str, comparison: Comparison) -> str:

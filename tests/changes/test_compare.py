@@ -564,6 +564,15 @@ def test_in_brief_settings_come_first_then_answers_and_then_verdicts_that_change
     assert re.fullmatch(r"aided .*worse.* undecided", lines[3])
 
 
+def test_the_settings_of_a_filter_on_one_side_are_its_name(tmp_path: Path) -> None:
+    new = content(window=5)
+    new["config"]["filters"]["tuned"] = {"aiding": ["velocity"], "gate_probability": 0.9, "window": 3}
+    comparison = only_changed(compared(tmp_path, content(), new))
+    assert told(comparison).startswith("## filters.aided.window 3 -> 5 and 1 more setting: dive, ")
+    assert "filter tuned only in the new results" in told(comparison)
+    assert "gate_probability" not in told(comparison)
+
+
 def test_in_brief_the_same_is_left_out_and_the_rest_counted(tmp_path: Path) -> None:
     text = in_brief(tmp_path)
     assert "gone: four" in text
