@@ -3,11 +3,13 @@
 import hashlib
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
+import fsspec
 import pytest
 from small_logs import written
 
@@ -31,7 +33,6 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def memory() -> Iterator[Any]:
     """A file system without files, by the URL ``memory://``."""
-    fsspec = pytest.importorskip("fsspec")
     system = fsspec.filesystem("memory")
     system.pipe("/dives/dive 1.mcap", LOG)
     yield system
@@ -107,34 +108,51 @@ def test_of_a_log_with_another_digest_nothing_is_kept(tmp_path: Path, memory: An
     assert not [path for path in cache.rglob("*") if path.is_file()]
 
 
-class Liar(BaseHTTPRequestHandler):
-    """Says that a log is longer than what it sends, or drops the connection."""
+class Server(BaseHTTPRequestHandler):
+    """Says how long a log is, sends a part of it, and drops the connection; counts what it is asked for."""
 
-    def __init__(self, said: int, *arguments: Any) -> None:
-        self.said = said
+    def __init__(self, sent: bytes, asked: list[str], *arguments: Any) -> None:
+        self.sent, self.asked = sent, asked
         super().__init__(*arguments)
 
     def do_HEAD(self) -> None:
+        self.asked.append(self.command)
         self.send_response(200)
-        self.send_header("Content-Length", str(self.said))
+        self.send_header("Content-Length", str(len(LOG)))
         self.end_headers()
 
     def do_GET(self) -> None:
         self.do_HEAD()
-        self.wfile.write(LOG[:5000])
+        self.wfile.write(self.sent)
 
     def log_message(self, *_: Any) -> None:
         pass
 
 
-def test_a_server_that_lies_about_the_length_is_refused(tmp_path: Path, cache: Path) -> None:
-    pytest.importorskip("aiohttp")
-    with HTTPServer(("127.0.0.1", 0), partial(Liar, len(LOG))) as server:
+@contextmanager
+def served(sent: bytes) -> Iterator[tuple[str, list[str]]]:
+    """Yield the URL of a log, and what its server was asked for."""
+    asked: list[str] = []
+    with HTTPServer(("127.0.0.1", 0), partial(Server, sent, asked)) as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
-        url = f"http://127.0.0.1:{server.server_port}/dive.mcap"
-        with pytest.raises(LogError, match=r"the SHA-256 of what was sent|cannot be fetched"):
-            find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')])
+        yield f"http://127.0.0.1:{server.server_port}/dive.mcap", asked
         server.shutdown()
         thread.join()
+
+
+def test_a_server_is_asked_once_for_a_log(tmp_path: Path) -> None:
+    with served(LOG) as (url, asked):
+        listed = manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')
+        (path,) = find_dives([listed])
+        assert path.read_bytes() == LOG
+        assert asked.count("GET") == 1
+        asked.clear()
+        assert find_dives([listed]) == [path]
+        assert not asked
+
+
+def test_a_server_that_lies_about_the_length_is_refused(tmp_path: Path, cache: Path) -> None:
+    with served(LOG[:5000]) as (url, _), pytest.raises(LogError, match=r"SHA-256 of what was sent|cannot be fetched"):
+        find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')])
     assert not [path for path in cache.rglob("*") if path.is_file()]
