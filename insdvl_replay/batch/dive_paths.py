@@ -126,7 +126,10 @@ def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]
         folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
         tables = [path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES]
         if tables and not logs and not results and not any(map(is_result, folders)):
-            yield folder
+            # In an archive a table lies beside the dives.
+            below = (path for above in folders for path in above.rglob("*"))
+            if not any(path.suffix in LOG_SUFFIXES or path.name == BAG_METADATA for path in below):
+                yield folder
     except PermissionError:
         yield folder  # as a dive that cannot be read
         return

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
+from msgspec.structs import replace as changed
 
 from insdvl_replay import __version__
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
@@ -324,7 +325,7 @@ def replay_into(job: ReplayJob) -> bytes:
     with result_folder(job.target, force=job.replaces) as folder:
         save_replay(replay, folder, histories=options.histories)
         vehicle = options.vehicle.encode()
-        if not vehicle and (job.target / VEHICLE_FILE).is_file():  # a person may have changed it, and given it with -c
+        if not vehicle and _has_settings(job.target / VEHICLE_FILE, options.config):
             vehicle = read_file(job.target / VEHICLE_FILE)
         if vehicle:
             (folder / VEHICLE_FILE).write_bytes(vehicle)
@@ -339,6 +340,17 @@ def replay_into(job: ReplayJob) -> bytes:
         tool = msgspec.structs.replace(report.tool, started_at=started_at, elapsed_s=elapsed_s)
         (folder / COMPLETE).write_bytes(encode_report(msgspec.structs.replace(report, tool=tool)))
     return (job.target / COMPLETE).read_bytes()
+
+
+def _has_settings(file: Path, config: Config) -> bool:
+    """Return whether a file of found settings is that of a replay, where they were given with -c or used again."""
+    from insdvl_replay.core.config_file import load_config
+
+    try:
+        found = load_config(file=file) if file.is_file() else None
+    except UserError:
+        return False
+    return found is not None and changed(found, span=config.span, evaluation=config.evaluation) == config
 
 
 def log_digest(job: ReplayJob) -> str:

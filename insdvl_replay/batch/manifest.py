@@ -82,7 +82,7 @@ def cache_folder() -> Path:
 def _fetched(url: str, sha256: str) -> Path:
     """Return a remote log from the cache, after fetching it if it is not there; one with another digest is not kept."""
     kept = cache_folder() / sha256 / (Path(unquote(urlsplit(url).path)).name or "dive.mcap")
-    if kept.is_file():
+    if kept.is_file() and _digest(kept) == sha256:
         return kept
     try:
         import fsspec

@@ -100,7 +100,7 @@ def answers_of(pairs: Sequence[tuple[StoredResult, StoredResult]]) -> tuple[Answ
             lost=sum(bool(new and not old) for old, new in unsound),
             largest_change=max(sizes, default=0.0 if same_tables else math.inf),
         )
-        if answer.is_same:
+        if answer.is_same and not answer.lost:
             answer = replace(answer, verdict=Verdict.EQUIVALENT, sentence=f"{name} {answer.sameness}.")
         elif len(own) == len(evaluated) == 1:
             over_time = tuple(_over_one_dive(name, *own[0]))

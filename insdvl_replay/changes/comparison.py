@@ -393,12 +393,16 @@ def parse_limit(text: str | None) -> float | str | None:
 def find_violation(comparison: Comparison, limit: float | str | None) -> str:
     """Return what is worse than allowed; empty if nothing is.
 
-    For ``worse`` these are the sentences of the filters whose answer is worse or partly worse. For a number they are
-    the values that are worse by more, in percent or points. A worse verdict, a number that was lost or grew from zero,
-    and a missing row or dive exceed every number.
+    For ``worse`` these are the sentences of the filters whose answer is worse or partly worse, and missing dives. For a
+    number they are the values that are worse by more, in percent or points. A worse verdict, a number that was lost or
+    grew from zero, and a missing row or dive exceed every number.
     """
+    if limit is None:
+        return ""
+    gone = [dive.log for dive in comparison.dives if dive.new is None]
+    lost = [f"{counted(len(gone), 'dive')} without new results: {', '.join(gone)}"] if gone else []
     if not isinstance(limit, float):
-        return " ".join(answer.sentence for answer in comparison.answers if answer.is_harm and limit)
+        return " ".join([*(answer.sentence for answer in comparison.answers if answer.is_harm), *lost])
     above_pct = limit
     changes = [change for change in comparison.changes if not within(_loss_pct(change), above_pct, 100.0 * ROUNDING)]
     reasons = []
@@ -406,9 +410,7 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str:
         more = f" by more than {above_pct:g} %" if above_pct else ""
         worse = f"{'are' if len(changes) > 1 else 'is'} worse{more}"
         reasons.append(f"{counted(len(changes), 'value')} {worse}; worst: {described(worst)}")
-    if gone := [dive.log for dive in comparison.dives if dive.new is None]:
-        reasons.append(f"{counted(len(gone), 'dive')} without new results: {', '.join(gone)}")
-    return "; ".join(reasons)
+    return "; ".join([*reasons, *lost])
 
 
 def described(change: Change) -> str:

@@ -332,6 +332,8 @@ def outcomes_without_settings(
         same = with_options(dives, config=stored[0], found=found_before)
         yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
         return
+    unknown = [dive for dive, report in zip(dives, reports, strict=True) if report is None]
+    known_reports(unknown, force=force, rerun=rerun)  # results that may not be replaced stop it before any work is done
     # Settings that were found for other dives than these are found again, and replace those.
     force = force or all(not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True))
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)

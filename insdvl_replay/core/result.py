@@ -374,7 +374,10 @@ def _code_file(word: str) -> CodeFile:
     module, is_class, _ = word.partition(":")
     file = getattr(sys.modules.get(module), "__file__", None) or shutil.which(word) or word
     if is_class and "/" not in word and module not in sys.modules:  # a class is imported by a process of its own
-        file = getattr(importlib.util.find_spec(module), "origin", None) or ""
+        try:
+            file = getattr(importlib.util.find_spec(module), "origin", None) or ""
+        except Exception:  # of a package that is imported on the way
+            file = ""
     file = file if Path(file).is_file() else ""
     return CodeFile(file, hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "")
 

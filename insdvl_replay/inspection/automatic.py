@@ -119,7 +119,7 @@ def find_settings(dives: Sequence[Paths], given: Config, *, allow_damaged: bool 
         notes.append(
             found_note("found_dives", f"settings of one vehicle, found from {len(read)} dives together: {names}")
         )
-    if keys := [key for key in _given_keys(given) if not key.startswith(("span.", "evaluation."))]:
+    if keys := _given_keys(given):
         notes.append(found_note("found_given", f"{AS_GIVEN}{listed(keys)}"))
     return FoundSettings(config, tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)))
 
@@ -157,9 +157,10 @@ def settings_file(dives: Sequence[Paths], given: Config, *, allow_damaged: bool 
 
 
 def _given_keys(given: Config) -> list[str]:
-    """Name what is not as it is by default."""
+    """Name what is not as it is by default, except for the span and the evaluation."""
     default = dict(flattened(msgspec.to_builtins(Config())))
-    return [key for key, value in flattened(msgspec.to_builtins(given)) if value != default.get(key)]
+    keys = [key for key, value in flattened(msgspec.to_builtins(given)) if value != default.get(key)]
+    return [key for key in keys if not key.startswith(("span.", "evaluation."))]
 
 
 def _as_given(found: Config, given: Config) -> Config:
@@ -181,19 +182,20 @@ def _later(dive: Dive, latency_s: float) -> Dive:
 def stored_settings(folder: Path, given: Config) -> Config | None:
     """Return the settings that an earlier run found for the result in a folder, with the same span and evaluation.
 
-    Those that were found beside given ones are found again.
+    Those that were found beside other given ones are found again.
     """
-    asked = msgspec.structs.replace(Config(), span=given.span, evaluation=given.evaluation)
     file = folder / VEHICLE_FILE
-    if given != asked or not file.is_file():
+    if not file.is_file():
         return None
     try:
         found = load_config(file=file)
     except UserError:
         return None
-    if any(line.startswith(f"# {AS_GIVEN}") for line in file.read_text("utf-8").splitlines()):
-        return None
-    return found if (found.span, found.evaluation) == (given.span, given.evaluation) else None
+    comments = " ".join(line[1:].strip() for line in file.read_text("utf-8").splitlines() if line.startswith("#"))
+    keys = _given_keys(given)
+    is_same = f"{AS_GIVEN}{listed(keys)}" in comments if keys else AS_GIVEN not in comments
+    same = is_same and _as_given(found, given) == found and found.topics == given.topics
+    return found if same and (found.span, found.evaluation) == (given.span, given.evaluation) else None
 
 
 # --- The class of the IMU.

@@ -310,6 +310,9 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         yield Setting("dvl.kind", "velocity")
         yield Setting("dvl.axes", "frd", open=_AXES_OPEN)
     for velocity in [*velocities, *beams][:1]:
+        if (stated := topic.stated_unit(velocity.path)) in VELOCITY_UNITS:
+            yield Setting("dvl.velocity_unit", stated, _STATED)
+            continue
         units = fitting_units(velocity.size, VELOCITY_UNITS, _SLOWEST_MPS, _QUICKEST_MPS)
         best = units[0] if units else "m/s"
         what = "length of all beams' velocities" if velocity.is_beams else "speed"

@@ -73,6 +73,7 @@ class RoleReadings:
     draft: Config  # as proposed by names, types and sizes
     imus: list[_ImuTopic]
     pings: dict[str, DvlColumns]  # by topic
+    velocity_units: dict[str, str]  # by topic, where they are not as proposed
     reference: ReferenceColumns | None
     clocks: tuple[Setting, ...]  # that correct the times of tables
 
@@ -99,20 +100,21 @@ def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bo
                 columns.decode("reference", read_tables(log, proposed["reference"].sources))
         reference = columns.reference
         pings: dict[str, DvlColumns] = {}
+        units: dict[str, str] = {}
         for source in by_type["dvl"].candidates or proposed["dvl"].sources:
             (table,) = read_tables(log, [source])
             columns = RoleColumns(place, draft)
             columns.decode("dvl", [table])
             unit = _velocity_unit(median_speed_mps(columns.dvl), reference, draft)
             if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
-                draft = with_values(draft, "dvl", velocity_unit=unit)
-                columns = RoleColumns(place, draft)
+                units[source.topic] = unit
+                columns = RoleColumns(place, with_values(draft, "dvl", velocity_unit=unit))
                 columns.decode("dvl", [table])
             pings[source.topic] = columns.dvl
     if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
         text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
         raise LogError(text, "use a dive with turns and changes of speed, or give the settings with -c", place)
-    return RoleReadings(place, draft, imus, pings, reference, proposal.table_clocks)
+    return RoleReadings(place, draft, imus, pings, units, reference, proposal.table_clocks)
 
 
 def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
@@ -134,7 +136,7 @@ def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[C
     for imu in track_progress("trying IMUs and DVLs", imus):
         for topic, dvl in pings.items():
             dive = Dive("", imu.columns, dvl, reference=read.reference)
-            trials = Trials(thinned(dive), trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read)
+            trials = Trials(thinned(dive), trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read, config)
             tried.append((trials, imu, topic))
     tried.sort(key=lambda found: found[0].cost)
     for trials, *_ in tried:
@@ -151,6 +153,7 @@ def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[C
         )
     dive = Dive("", imu.columns, pings[dvl_topic], reference=read.reference)
     best = as_reference_moves(trials.close, dive, draft)
+    best = best if trials.allows(best) else trials.close[0]
     alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (best.axes, best.force_axes)}
     if alike >= QUARTERS_DEG and config.dvl.mounting_rpy_deg == Dvl().mounting_rpy_deg:
         raise LogError(
@@ -166,6 +169,8 @@ def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[C
     draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, config.imu, is_alone=len(imus) == 1))
     if len(pings) > 1:
         draft = with_values(draft, "dvl", topic=dvl_topic)
+    if dvl_topic in read.velocity_units:
+        draft = with_values(draft, "dvl", velocity_unit=read.velocity_units[dvl_topic])
     if looks is None or look_down(looks):
         return with_values(draft, "dvl", mounting_rpy_deg=best.rpy_deg), trials.cost
     # The beams point down in other axes.
@@ -205,8 +210,8 @@ def _imu_topics(
     """Read the topics that could be the IMU in SI units, by the size of gravity and of the rates."""
     for source in sources:
         (table,) = read_tables(log, [source])
-        is_proposed = source.topic == draft.imu.topic
-        own = draft.imu if is_proposed else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
+        is_meant = draft.imu.topic in (None, source.topic)
+        own = draft.imu if is_meant else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
         known = source.completed(own)
         as_read = Hypothesis(known.axes or FRD, known.specific_force_axes or known.axes or FRD)
         force, rate = (

@@ -128,15 +128,15 @@ def with_cost(tried: Hypothesis, dive: Dive, config: Config) -> Hypothesis:
 class Trials:
     """All trials of one thinned dive, whose readings are in the axes of the instruments."""
 
-    def __init__(self, dive: Dive, config: Config, as_read: Hypothesis) -> None:
-        self.dive, self.config, self.as_read = dive, config, as_read
+    def __init__(self, dive: Dive, config: Config, as_read: Hypothesis, given: Config) -> None:
+        self.dive, self.config, self.as_read, self.given = dive, config, as_read, given
         self.found = [as_read]
         if not (len(dive.imu.time_ns) and len(dive.dvl.time_ns)):
             return
         fastest_radps = float(np.quantile(np.linalg.norm(dive.imu.angular_rate_b, axis=1), 0.99))
         scales = [1.0, DEG_PER_S] if fastest_radps > FAST_RADPS else [1.0]
         possible = [replace(one, rate_scale=scale) for scale in scales for one in mounted(dive, as_read)]
-        self.found = self._tried(possible)
+        self.found = self._tried(possible) or self.found
 
     @property
     def cost(self) -> float:
@@ -145,8 +145,17 @@ class Trials:
 
     @property
     def close(self) -> list[Hypothesis]:
-        """Return those that are about as good as the best, the nearest to what is as read first."""
-        close = [one for one in self.found if one.cost * CLEARLY <= self.cost]
+        """Return those that are about as good as the best, the nearest to what is as read first.
+
+        IMU and DVL turned together about down are the same vehicle, whatever their costs are.
+        """
+        costs: dict[object, float] = {}
+        vehicles = [_vehicle(one) for one in self.found]
+        for vehicle, one in zip(vehicles, self.found, strict=True):
+            costs[vehicle] = min(one.cost, costs.get(vehicle, np.inf))
+        close = [
+            one for vehicle, one in zip(vehicles, self.found, strict=True) if costs[vehicle] * CLEARLY <= self.cost
+        ]
         return sorted(close or self.found[:1], key=self._oddity)
 
     def _oddity(self, one: Hypothesis) -> tuple[bool, ...]:
@@ -155,8 +164,21 @@ class Trials:
         is_opposite = (one.axes == one.force_axes) != (as_read.axes == as_read.force_axes)
         return is_opposite, one.axes != as_read.axes, roll_deg != 0.0, heading_deg != 0.0
 
+    def allows(self, one: Hypothesis) -> bool:
+        """Return whether a hypothesis agrees with the axes, the scale and the mounting that are given."""
+        imu, dvl = self.given.imu, self.given.dvl
+        force_axes = imu.specific_force_axes or imu.axes
+        is_scaled = imu.angular_rate_unit is not None or imu.angular_rate_scale != 1.0
+        return (
+            (imu.axes is None or one.axes == axes_text(_map_of(imu.axes)))
+            and (force_axes is None or one.force_axes == axes_text(_map_of(force_axes)))
+            and (not is_scaled or one.rate_scale == 1.0)
+            and (dvl.mounting_rpy_deg == Dvl().mounting_rpy_deg or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg))
+        )
+
     def _tried(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
-        costs = list(parallel_map(lambda hypothesis: with_cost(hypothesis, self.dive, self.config), list(hypotheses)))
+        allowed = list(filter(self.allows, hypotheses))
+        costs = list(parallel_map(lambda hypothesis: with_cost(hypothesis, self.dive, self.config), allowed))
         return sorted(costs, key=lambda hypothesis: hypothesis.cost)
 
     def _distinct(self, most: int) -> list[Hypothesis]:
@@ -247,6 +269,19 @@ def scaled(one: Hypothesis) -> Iterator[Hypothesis]:
 
 def _map_of(axes: str) -> Floats:
     return in_frd(np.eye(3), axes, "imu.axes").T
+
+
+def _turn(rpy_deg: Sequence[float]) -> tuple[int, ...]:
+    """Return the nearest turn by right angles, row by row."""
+    return tuple(np.rint(mat_from_rpy(np.array(rpy_deg) * DEG)).astype(int).ravel().tolist())
+
+
+def _vehicle(hypothesis: Hypothesis) -> tuple[object, ...]:
+    """Return the same for hypotheses that differ by a turn about down."""
+    keys = []
+    for one in (turned_about_down(hypothesis, quarters) for quarters in range(4)):
+        keys.append((one.axes, one.force_axes, one.rate_scale, _turn(one.rpy_deg)))
+    return min(keys)
 
 
 def turned_about_down(hypothesis: Hypothesis, quarters: int) -> Hypothesis:

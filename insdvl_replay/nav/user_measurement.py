@@ -249,7 +249,7 @@ def checked_factors(given: tuple[TimeNs, Floats]) -> NoiseFactors:
     except (TypeError, ValueError) as error:
         raise ValueError(f"returns {type(given).__name__}, not two arrays: times and factors") from error
     time_ns, factors = np.asarray(times), _numbers("factors", found)
-    if factors.shape not in ((len(time_ns), 2), (len(time_ns), 6)):
+    if time_ns.ndim != 1 or factors.shape not in ((len(time_ns), 2), (len(time_ns), 6)):
         shapes = f"{time_ns.shape} and {factors.shape}"
         raise ValueError(f"returns times and factors of shapes {shapes}, not (k,) and (k, 2) or (k, 6)")
     _require_increasing(time_ns)

@@ -53,7 +53,7 @@ def history_of_candidate(
     key = f"filters.{name}"
     columns = _columns(solution, start, start_ns, int(baseline.time_ns[-1]))
     history, _, notes = recorded_history(name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key)
-    _require_this_dive(history, baseline)
+    _require_this_dive(history, baseline, solution.time_ns[0])
     met = _innovations(solution, velocities)
     return replace(history, has_own_start=False, innovations=() if met is None else (met,)), notes
 
@@ -94,8 +94,11 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
     return SolutionColumns(ReferenceColumns(motion_ns, **columns), None, cov_ns, cov)
 
 
-def _require_this_dive(history: History, baseline: History) -> None:
-    """Require that a solution covers the replay, begins at the start, and turns and moves as the baseline does."""
+def _require_this_dive(history: History, baseline: History, first_ns: int) -> None:
+    """Require that a solution covers the replay, begins where the baseline is, and turns and moves as that does.
+
+    Before its own first row it has the start.
+    """
     columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
     columns["mat_nb"] = history.mat_nb[:, 0, 0]
     known, reason = {name: np.isfinite(column) for name, column in columns.items() if np.isfinite(column).any()}, ""
@@ -109,7 +112,7 @@ def _require_this_dive(history: History, baseline: History) -> None:
                 f"{end_s:.1f} s"
             )
     if "position" in known:
-        row = int(np.argmax(known["position"]))
+        row = int(np.argmax(known["position"] & (history.time_ns >= first_ns)))
         apart_m = float(np.hypot(*north_east_m(history.position[row], baseline.position[row], baseline.position[row])))
         if apart_m > FARTHEST_START_M:
             reason = f"it begins {apart_m:.3g} m from the start"

@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -164,6 +165,7 @@ def run_class() -> None:
     asked, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what the class prints goes to a file
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     with contextlib.suppress(EOFError, KeyboardInterrupt):
         while True:
             dive_file, start = pickle.load(asked)
@@ -174,6 +176,13 @@ def run_class() -> None:
                 answer = error
             answers.write(pickle.dumps(answer))
             answers.flush()
+
+
+def _end_with(parent: int) -> None:
+    """End this process once its parent was killed."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 def solution_of_class(word: str, dive_file: Path, start: CandidateStart) -> Solution:

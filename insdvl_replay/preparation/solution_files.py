@@ -5,6 +5,7 @@ The first bytes of a file determine its format, not its name.
 
 import io
 import zipfile
+import zlib
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NoReturn
@@ -13,7 +14,7 @@ import numpy as np
 
 from insdvl_replay import logs
 from insdvl_replay.core.config import MOST_BYTES
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
 from insdvl_replay.core.errors import LogError, hint_for, read_regular, visible
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -22,6 +23,7 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution, misalignment_cov
 
 MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
+SAME_TIME_NS: Final = NS_PER_S  # from the start within which a solution begins there
 LONGEST_LINE: Final = 200  # letters of what others wrote in a message
 VELOCITY: Final = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps")
 ATTITUDE: Final = ("roll_deg", "pitch_deg", "heading_deg")
@@ -42,11 +44,17 @@ def checked_solution(solution: Solution) -> Solution:
     def wrong(text: str) -> NoReturn:
         raise CandidateError(f"gives a solution with {text}")
 
-    time_ns = np.asarray(solution.time_ns)
-    if time_ns.ndim != 1 or not len(time_ns):
+    def increasing(name: str, given: Any) -> TimeNs:
+        times = np.asarray(given)
+        whole = times.astype(np.int64) if times.dtype.kind in "iu" else None
+        if times.ndim != 1 or whole is None or np.any(np.diff(whole) <= 0):
+            wrong(f"{name} that are not increasing whole nanoseconds")
+        return whole
+
+    if np.ndim(solution.time_ns) != 1 or not len(solution.time_ns):
         wrong("no row")
-    if time_ns.dtype.kind not in "iu" or np.any(np.diff(time_ns) <= 0):
-        wrong("times that are not increasing whole nanoseconds")
+    time_ns = increasing("times", solution.time_ns)
+    cov_ns = None if solution.cov_ns is None else increasing("cov_ns", solution.cov_ns)
     columns = dict[str, Any]()
     for name, shape in _SHAPES.items():
         if (given := getattr(solution, name)) is None:
@@ -55,18 +63,20 @@ def checked_solution(solution: Solution) -> Solution:
             values = columns[name] = np.asarray(given, np.float64)
         except (TypeError, ValueError):
             wrong(f"{name} that is not an array of numbers")
-        count = len(solution.cov_ns) if name == "cov" and solution.cov_ns is not None else len(time_ns)
+        count = len(cov_ns) if name == "cov" and cov_ns is not None else len(time_ns)
         if values.shape != (count, *shape):
             wrong(f"{name} of shape {values.shape}, not {(count, *shape)}")
         needed = values[:, :2] if name == "position" else values.reshape(count, -1)  # a position may lack its height
         bad = np.flatnonzero(~np.isfinite(needed).all(axis=1))
         if name in MOTION and len(bad):
             wrong(f"{MOTION[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
+        if name.endswith("cov") and np.any(np.diagonal(values, axis1=1, axis2=2) < 0.0):
+            wrong(f"{name} with negative variances")
     if not set(columns) & set(MOTION):
         wrong("no position, no velocity and no attitude")
-    if solution.cov_ns is not None:
-        columns["cov_ns"] = np.asarray(solution.cov_ns, np.int64)
-    return replace(solution, time_ns=time_ns.astype(np.int64), **columns)
+    if "innovation_b" in columns and "innovation_cov" not in columns:
+        wrong("innovations without their covariance; in CSV these are innovation_x_mps_sd and so on")
+    return replace(solution, time_ns=time_ns, cov_ns=cov_ns, **columns)
 
 
 def read_solution(path: Path, start: CandidateStart) -> Solution:
@@ -82,7 +92,9 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
         try:
             with np.load(io.BytesIO(data)) as columns:
                 return checked_solution(Solution(**columns))
-        except (TypeError, ValueError, zipfile.BadZipFile) as error:
+        except (
+            TypeError, ValueError, KeyError, EOFError, OSError, NotImplementedError, zipfile.BadZipFile, zlib.error,
+        ) as error:  # fmt: skip
             raise CandidateError(f"wrote a solution that is not of run_as_program: {error}") from error
     if not data.startswith(logs.MAGIC) and data.lstrip()[:1] not in b"#+-.0123456789":
         return checked_solution(_read_csv(data))
@@ -93,9 +105,12 @@ def read_solution(path: Path, start: CandidateStart) -> Solution:
     if wrong := next((note for note in notes if note.severity == Severity.WARNING), None):
         raise CandidateError(f"wrote a solution that cannot be used: {visible(wrong.text)}")
     motion, position = read.motion, read.motion.position
-    if read.moved_n is not None:  # from an origin of its own: the first of them is where the program was started
-        from_first = read.moved_n - read.moved_n[int(np.argmax(np.isfinite(read.moved_n).all(axis=1)))]
-        position = moved_position(np.broadcast_to(start.position, from_first.shape), from_first)
+    if read.moved_n is not None:
+        # From the start; a solution that begins there may have an origin of its own.
+        first = int(np.argmax(np.isfinite(read.moved_n).all(axis=1)))
+        begins = abs(int(motion.time_ns[first]) - start.time_ns) <= SAME_TIME_NS
+        from_start = read.moved_n - (read.moved_n[first] if begins else 0.0)
+        position = moved_position(np.broadcast_to(start.position, from_start.shape), from_start)
     cov_ns = read.cov_ns if np.isfinite(read.cov).any() else None
     given = position, motion.velocity_n, motion.mat_nb, read.cov
     placed, velocity_n, mat_nb, cov = (values if np.isfinite(values).any() else None for values in given)
@@ -107,10 +122,12 @@ def _read_csv(data: bytes) -> Solution:
     import pandas as pd  # heavy
 
     try:
-        table = pd.read_csv(io.BytesIO(data), dtype=dict.fromkeys(_COLUMNS[1:], "f8"), index_col=False)
+        table = pd.read_csv(io.BytesIO(data), dtype=dict.fromkeys(_COLUMNS[1:], "f8"))
     except (ValueError, OverflowError) as error:  # pandas' own errors are ValueErrors
         why = visible(str(error))[:LONGEST_LINE]
         raise CandidateError(f"wrote a solution that is not CSV of numbers: {why}") from error
+    if not isinstance(table.index, pd.RangeIndex):
+        raise CandidateError("wrote a solution whose rows are longer than its header: are there decimal commas?")
     if table.empty:
         raise CandidateError("wrote a solution without rows")
     unknown = next((name for name in map(str, table.columns) if name not in _COLUMNS), None)

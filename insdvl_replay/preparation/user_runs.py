@@ -83,7 +83,8 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
         starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
     histories, drawn, notes = list(runs.histories), list(runs.drawn), list(runs.notes)
     outages, printed = dict[str, OutageRuns](), dict[str, str]()
-    with tempfile.TemporaryDirectory(prefix="insdvl-replay-") as folder:
+    # What a program has started may still write into it.
+    with tempfile.TemporaryDirectory(prefix="insdvl-replay-", ignore_cleanup_errors=True) as folder:
         candidates = [_Candidate(*item, Path(folder), plan) for item in config.user_candidates.items()]
         inputs = {candidate.processes.input for candidate in candidates}
         for test in (whole, *outage_dives):

@@ -5,6 +5,7 @@ import os
 import re
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.programs import run_as_program
-from insdvl_replay.preparation.solution_files import ATTITUDE, POSITION, VELOCITY, read_solution
+from insdvl_replay.preparation.solution_files import ATTITUDE, POSITION, VELOCITY, checked_solution, read_solution
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
@@ -218,7 +219,7 @@ FAILURES = {
         "solution.write_text(f'time_ns,roll_deg,pitch_deg,heading_deg\\n{9 ** 40},1,1,1\\n')",
         "not whole nanoseconds",
     ),
-    "a comma too many": ("solution.write_text('time_ns,roll_deg\\n1,2,\\n')", "without pitch_deg and heading_deg"),
+    "a comma too many": ("solution.write_text('time_ns,roll_deg\\n1,2,\\n')", "longer than its header"),
     "a folder": ("solution.unlink()\nsolution.mkdir()", "wrote a solution: "),
     "an unknown signal": ("import os\nos.kill(os.getpid(), 40)", "the signal 40"),
     "cut off": ("solution.write_text(solution.read_text()[:-70])", "is cut off in line"),
@@ -522,12 +523,41 @@ def test_solutions_in_other_formats_are_recognised_by_their_first_bytes(kind: st
         (b"5 0 0 0\n", "line 1 is no pose"),
         (b"\x89MCAP0\r\n", "cannot be read"),
         (b"PK\x03\x04 and more", "not of run_as_program"),
+        (b"time_ns,velocity_n_mps,velocity_e_mps,velocity_d_mps\n1,1,5,1,7,0,3\n", "longer than its header"),
     ],
 )
 def test_files_that_are_no_solutions(content: bytes, reason: str, dive: Dive, tmp_path: Path) -> None:
     (tmp_path / "solution").write_bytes(content)
     with pytest.raises(CandidateError, match=reason):
         read_solution(tmp_path / "solution", start_of(dive))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"time_ns": np.array([3, 2, 1], np.uint64)}, "times that are not increasing"),
+        ({"cov": np.broadcast_to(np.eye(9), (3, 9, 9)), "cov_ns": np.array([0.0, 1.0, 2.0])}, "cov_ns that are not"),
+        ({"cov": np.broadcast_to(-np.eye(9), (3, 9, 9))}, "cov with negative variances"),
+        ({"innovation_b": np.zeros((3, 3))}, "innovations without their covariance"),
+    ],
+)
+def test_columns_that_make_no_sense(changes: dict[str, np.ndarray], reason: str) -> None:
+    good = Solution(np.array([1, 2, 3]), velocity_n=np.zeros((3, 3)))
+    checked_solution(good)
+    with pytest.raises(CandidateError, match=reason):
+        checked_solution(replace(good, **changes))
+
+
+def test_a_late_solution_begins_where_the_baseline_is(dive: Dive, tmp_path: Path) -> None:
+    """Its first row is later than the start; radians for degrees would be kilometres away."""
+    assert dive.reference is not None
+    start, path = start_of(dive), tmp_path / "solution"
+    motion = dive.reference.rows(np.arange(50, len(dive.reference.time_ns), 5))
+    solution = Solution(motion.time_ns, motion.position, motion.velocity_n, motion.mat_nb)
+    write_odometry(path, solution, start.position, fix=False)
+    read = read_solution(path, start)
+    assert read.position is not None
+    np.testing.assert_allclose(north_east_down_m(read.position, motion.position), 0.0, atol=1e-3)
 
 
 @pytest.mark.nightly

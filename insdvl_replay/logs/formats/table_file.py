@@ -144,6 +144,7 @@ class TableFile(LogFile):
         try:
             if start.startswith(b"PAR1"):
                 frame = pd.read_parquet(BytesIO(content))
+                frame = frame if isinstance(frame.index, pd.RangeIndex) else frame.reset_index()
                 yield self._named(self.path.name, [(str(name), frame[name].to_numpy()) for name in frame])
                 return
             arrays = _arrays(content, start)
@@ -278,15 +279,17 @@ class TableFile(LogFile):
                 values = values.T  # MATLAB has often one column a sample
             if values.ndim in (1, 2) and len(values) > 1 and (values.ndim == 1 or values.shape[1] <= _WIDEST):
                 groups.setdefault((name.rpartition(".")[0], len(values)), {})[name.rpartition(".")[2]] = values
-        tables: dict[str, dict[str, NDArray[Any]]] = {}
-        for (above, _), columns in groups.items():
+        tables: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
+        for (above, count), columns in groups.items():
             times = [name for name in columns if _TIME.search(clean_name(name))]
             by_word = len(times) > 1 and len({_first_word(name) for name in times}) == len(times)
             for name, values in columns.items():
                 word = _first_word(name) if by_word else _first_word(next(iter(columns)))
-                tables.setdefault(above or word, {})[name] = values
-        for label, columns in tables.items():
-            topic = self.path.name if len(tables) == 1 else f"{self.path.name}/{label}"
+                tables.setdefault((above or word, count), {})[name] = values
+        labels = [label for label, _ in tables]
+        for (label, count), columns in tables.items():
+            name = label if labels.count(label) == 1 else f"{label}_{count}"
+            topic = self.path.name if len(tables) == 1 else f"{self.path.name}/{name}"
             (first, *others), named = columns.values(), columns
             if not others and first.ndim == 2:
                 named = {f"column_{i + 1}": values for i, values in enumerate(first.T)}
@@ -305,6 +308,9 @@ class TableFile(LogFile):
             known = np.isfinite(values)
             ending = _ENDS_WITH_UNIT.search(name)
             unit = table.units.get(name) or (ending and _UNIT_WORDS.get(ending[1], ending[1])) or ""
+            if table.units.get(name) and unit not in TIME_UNITS_NS:
+                hint = f"its unit may be {', '.join(TIME_UNITS_NS)}"
+                raise LogError(f"the times '{name}' are in {unit}, which is no unit that is known", hint, self.path)
             if unit not in TIME_UNITS_NS:
                 unit = _likely_unit(values[known])
                 self._note("table_time_unit", table.topic, f"the times '{name}' were read as {unit}", warn=False)
