@@ -77,6 +77,7 @@ def test_no_auto_stops(good: Dive, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.nightly
 def test_python_finds_the_same_settings(good: Dive, tmp_path: Path) -> None:
     log = written(good, "DVL 90.0", tmp_path)
     result = replay_log(log, load_config(overrides=["evaluation.starts=1"]), auto=True)
@@ -124,6 +125,7 @@ def test_defaults_are_used_with_a_warning_where_nothing_is_found(
     assert "to repeat it" not in said
 
 
+@pytest.mark.nightly
 def test_tracks_are_added_with_the_settings_that_were_found(
     good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -98,6 +98,7 @@ def test_two_commands_lead_to_a_consistent_replay_whatever_the_sensors(
     assert word(out / "dive" / "report.json") == Consistency.CONSISTENT
 
 
+@pytest.mark.nightly
 def test_an_arm_and_a_delay_that_nobody_knows_are_not_taken_for_a_turned_dvl(tmp_path: Path) -> None:
     """On the figure-eight a DVL that is rolled by 90 deg left less of the innovations, with no arm and no delay."""
     log = tmp_path / "dive.mcap"
@@ -145,7 +146,7 @@ def test_mounting_is_reported_by_the_innovations(
 @pytest.mark.parametrize(
     "write",
     [
-        unknown_logs.nested_cdr,
+        pytest.param(unknown_logs.nested_cdr, marks=pytest.mark.nightly),
         unknown_logs.nameless_json,
         pytest.param(unknown_logs.bare_json, marks=pytest.mark.nightly),
         pytest.param(unknown_logs.protobuf, marks=pytest.mark.nightly),

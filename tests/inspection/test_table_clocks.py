@@ -91,6 +91,7 @@ def test_one_table_may_have_the_columns_of_all_sensors(tmp_path: Path) -> None:
     assert not [key for key in found if key.endswith(("stamp", "latency_s"))]
 
 
+@pytest.mark.nightly
 @needs_dives
 def test_faults_of_a_recorded_dive_are_found() -> None:
     """Its README tells what they are, to some 5 ms."""

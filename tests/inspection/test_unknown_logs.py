@@ -78,7 +78,7 @@ def on_its_side(vector: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("turn", "axes", "scale"),
     [
-        (as_flu, "flu", 1.0),
+        pytest.param(as_flu, "flu", 1.0, marks=pytest.mark.nightly),
         (as_flu, "flu", 0.6),
         pytest.param(on_its_side, "+x-z+y", 1.0, marks=pytest.mark.nightly),
     ],

@@ -132,6 +132,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.nightly
 def test_the_node_of_ros_2_is_played_to_and_recorded(dive: Dive, tmp_path: Path) -> None:
     assert dive.reference is not None
     write_dive(tmp_path / "dive.mcap", replace(dive, reference=None))
