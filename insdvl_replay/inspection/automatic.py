@@ -420,7 +420,9 @@ def _levelled(dive: Dive, config: Config, given: Config, started: Initial, prese
         # The noise of the IMU decides. It is at most the scatter of the readings.
         for name, field in INERTIAL.items():
             most = readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s)
-            config = with_values(config, "noise", **{name: float(f"{min(getattr(config.noise, name), most):.3g}")})
+            quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
+            if not beyond_the_sensor(name, quieter):
+                config = with_values(config, "noise", **{name: quieter})
         both = ("dvl", key), ("noise", "accel_white_mps_rts")
         config, size = scaled(config, size_with(config), *both)
         config, preset = _with_biases_of_class(config, given, preset)

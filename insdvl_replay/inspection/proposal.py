@@ -1,7 +1,7 @@
 """Settings to start from, for a log that cannot be replayed as it is.
 
 There are three steps. Each one reads the log with the findings of the step before: the topic, fields and stamp of each
-role; their units and axes; whether their clocks agree. Blockers that remain are reported too.
+role; their units; whether their clocks agree. Trials find axes. Blockers that remain are reported too.
 
 Each setting has the observation behind it, the alternatives, and whether a person must decide. A key whose value only
 a person can know is a comment. Every other key has the likeliest value, so the proposal can be used as it is.
@@ -578,7 +578,7 @@ def _listed(role: str, needed: Sequence[str], seen: Sequence[ProbedTopic]) -> It
 def _measured(
     log: Recording, config: Config, settings: Sequence[Setting], deep: bool, whole_reference: bool
 ) -> list[Setting]:
-    """Evaluate units, axes and clocks by what the messages show, read as proposed so far."""
+    """Evaluate units and clocks by what the messages show, read as proposed so far."""
     findings = find_roles(str(log.path), log.channels, config)
     seen = DryRun(log, config, deep)
     seen.examine(findings)
