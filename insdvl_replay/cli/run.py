@@ -62,6 +62,14 @@ def run(
     history: Annotated[
         Literal["csv", "parquet"] | None, typer.Option("--history", help="Also write the full history of each filter.")
     ] = None,
+    lake: Annotated[
+        Path | None,
+        typer.Option(
+            "--lake",
+            metavar="DIR",
+            help="Also write the evidence of each dive into this folder, a Parquet dataset of many runs.",
+        ),
+    ] = None,
     against: Annotated[
         list[str],
         typer.Option(
@@ -108,6 +116,7 @@ def run(
       insdvl-replay run dive.mcap --tum --kml --geojson
       insdvl-replay run dive.mcap --start 60 --set filters.aided.acceleration.window=5
       insdvl-replay run dives/*.mcap -c vehicle.toml --against dvl.beam_sd_mps=0.006
+      insdvl-replay run archive --lake lake
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, plan_both_sides, plan_jobs
@@ -124,16 +133,14 @@ def run(
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
-    from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, result_file
+    from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
     from insdvl_replay.show.answers import Failure
     from insdvl_replay.show.dive import TOGETHER, dive_document, replay_result, require_tables, tables_named
     from insdvl_replay.show.dives import INDEX, OVERVIEWS, overview_parts
     from insdvl_replay.show.screens import dive_screen, dives_screen, quiet_lines
 
     if history == "parquet":
-        from insdvl_replay.results.result_files import require_parquet
-
-        require_parquet()
+        require_parquet("--history parquet", "--history csv")
     require_tables(tables)
     given = [*settings, *opt.span_settings(start, end, starts)]
     load = partial(load_config, preset, config, given, allow_code=allow_code)
@@ -152,7 +159,7 @@ def run(
 
         sides = plan_both_sides(find_dives(logs), output, options, changed, one_dive=one_dive)
         dives = [job for _, planned in sides for job in planned]
-        replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun)
+        replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
     dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
     alone = len(dives) == 1
@@ -176,7 +183,7 @@ def run(
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
     unchanged, explained, has_findings = 0, False, False
-    for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun):
+    for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun, lake=lake):
         name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
         if isinstance(report, Exception):
             reports.append(Failure(name, str(report)))
@@ -368,13 +375,28 @@ def outcomes_without_settings(
 
 
 def outcomes(
-    dives: "Sequence[ReplayJob]", jobs: int, scheduler: str | None, *, force: bool, rerun: bool
+    dives: "Sequence[ReplayJob]",
+    jobs: int,
+    scheduler: str | None,
+    *,
+    force: bool,
+    rerun: bool,
+    lake: Path | None = None,
 ) -> "Generator[Outcome, None, None]":
-    """Replay what has changed, and show the progress on a terminal."""
+    """Replay what has changed, and show the progress on a terminal. All results are written into the lake."""
+    from insdvl_replay.results.folder import add_to_lake, require_lake
+
+    if lake is not None:
+        require_lake(lake, {dive.target.parent for dive in dives})
     if dives[0].options.require_fit:
-        yield from outcomes_without_settings(dives, jobs, force=force, rerun=rerun)
-        return
-    yield from outcomes_as_planned(dives, jobs, scheduler, force=force, rerun=rerun)
+        replays = outcomes_without_settings(dives, jobs, force=force, rerun=rerun)
+    else:
+        replays = outcomes_as_planned(dives, jobs, scheduler, force=force, rerun=rerun)
+    with closing(replays):
+        for outcome in replays:
+            if lake is not None and not isinstance(outcome.result, Exception):
+                add_to_lake(lake, outcome.result)
+            yield outcome
 
 
 def outcomes_as_planned(

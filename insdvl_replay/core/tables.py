@@ -375,6 +375,16 @@ class EvidenceRow(Struct, frozen=True):
     why: Annotated[str, Col("Reason why the row does not decide, if it is not the interval.", head="why")] = ""
 
 
+class LakeRow(EvidenceRow, frozen=True, kw_only=True):
+    """A row of evidence in the dataset of ``run --lake``, with what identifies its replay."""
+
+    filter_verdict: Annotated[str, Col("Verdict of all evidence for the filter.")]
+    log_sha256: Annotated[str, Col("SHA-256 of the log, and of config.toml of the result.")]
+    settings_sha256: str
+    version: Annotated[str, Col("Version of the tool, and start of the replay (UTC, ISO 8601).")]
+    started_at: str
+
+
 class OutageRow(Struct, frozen=True):
     """Drift of a filter during a DVL outage of one length, compared with the baseline."""
 
@@ -659,6 +669,7 @@ TABLES: Final[tuple[TableLayout, ...]] = tuple(
 )
 # The block ``filters`` of a report as a table with one row for each candidate.
 CANDIDATES: Final = layout_of("filters", CandidateVerdict)
+LAKE: Final = layout_of("lake", LakeRow)
 LAYOUTS: Final = (CANDIDATES, *TABLES)  # All tables that results are compared by, most important first.
 
 

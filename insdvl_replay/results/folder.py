@@ -5,6 +5,7 @@ It is written in a hidden folder next to its place, and renamed when it is compl
 
 import hashlib
 import os
+import re
 import shutil
 import tempfile
 import time
@@ -14,12 +15,15 @@ from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+from msgspec.structs import asdict
 
 from insdvl_replay.core.errors import ConfigError, read_regular
-from insdvl_replay.core.tables import TABLES
+from insdvl_replay.core.result import Report
+from insdvl_replay.core.tables import LAKE, TABLES, LakeRow
 
 COMPLETE: Final = "report.json"  # The file that identifies a result folder. It is written last and lists the others.
 PAGE: Final = "report.html"
+SETTINGS_FILE: Final = "config.toml"  # The resolved settings.
 REPLAY_LOG: Final = "replay.mcap"  # The histories; checks do not write it.
 TRAJECTORY_FILE: Final = "trajectory.npz"  # Every filter once a second.
 REFERENCE_TRAJECTORY: Final = "reference.tum"
@@ -29,7 +33,7 @@ LAYOUT_FILES: Final = ("foxglove.json", "plotjuggler.xml")  # Viewer layouts for
 # All files of the result of a dive.
 DIVE_FILES: Final = (
     *(f"{layout.name}.csv" for layout in TABLES),
-    *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, "config.toml", "run.log", PAGE, COMPLETE),
+    *(REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE, SETTINGS_FILE, "run.log", PAGE, COMPLETE),
 )
 TOOL: Final = "insdvl-replay"
 # Raised when decoding bytes that are not valid JSON: cut, wrong encoding, or nested too deep.
@@ -40,6 +44,7 @@ _TIME_OF_DAY: Final = ("started_at", "elapsed_s")
 _MARK: Final = "insdvl-replay-"  # In names of hidden folders, after the dot.
 _OLD: Final = "old"  # Subfolder for the older result while the new one replaces it.
 _LEFT_FOR_S: Final = 86_400.0  # A hidden folder that is unchanged for a day is from a killed run.
+_LAKE_FILE: Final = re.compile(r"[0-9a-f]{16}_[0-9a-f]{16}_.+\.parquet")  # log, settings and version
 _NAME_A_FILE: Final = "give the name of a file"
 _ANOTHER_PLACE: Final = "choose another place with -o"
 
@@ -257,3 +262,58 @@ def _files_of_result(folder: Path) -> Collection[str] | None:
     # Checks do not write these.
     needed = set(DIVE_FILES) - {REPLAY_LOG, *LAYOUT_FILES, TRAJECTORY_FILE}
     return DIVE_FILES if all((folder / name).is_file() for name in needed) else None
+
+
+# --- The lake: the evidence of many replays as one Parquet dataset, a file for each replay
+
+
+def require_parquet(option: str, otherwise: str) -> None:
+    """Raise a ConfigError where nothing can write Parquet."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError as error:
+        raise ConfigError(f"{option} needs pyarrow", f"pip install pyarrow, or {otherwise}") from error
+
+
+def require_lake(lake: Path, outputs: Collection[Path]) -> None:
+    """Create the folder of a lake. Raise a ConfigError if it cannot be written, or holds or will hold anything else."""
+    require_parquet("--lake", "leave --lake out")
+    hint = "name a folder of its own with --lake"
+    if any(lake.resolve() in (output.resolve(), *output.resolve().parents) for output in outputs):
+        raise ConfigError(f"{lake}: is the folder of the results, or above it", hint)
+    try:
+        if not lake.exists():
+            lake.mkdir(parents=True, exist_ok=True)
+        # Readers of a dataset ignore names with these beginnings.
+        names = sorted(path.name for path in lake.iterdir() if not path.name.startswith((".", "_")))
+        with tempfile.TemporaryFile(dir=lake):
+            pass
+    except OSError as error:
+        raise ConfigError(f"{lake}: cannot be written: {error.strerror}", hint) from error
+    if foreign := [name for name in names if not _LAKE_FILE.fullmatch(name)]:
+        raise ConfigError(f"{lake}: holds {foreign[0]}, which is not a file of a lake", hint)
+
+
+def add_to_lake(lake: Path, report: Report) -> None:
+    """Write the evidence of a replay into a lake, in place of an older file of this log, settings and version."""
+    import pyarrow as pa
+    from pyarrow.parquet import write_table
+
+    settings_sha256, version = report.files[SETTINGS_FILE], report.tool.version
+    rows = [
+        LakeRow(
+            **asdict(row),
+            filter_verdict=report.filters[row.filter].verdict,
+            log_sha256=report.log.sha256,
+            settings_sha256=settings_sha256,
+            version=version,
+            started_at=report.tool.started_at or "",
+        )
+        for row in report.tables.evidence
+    ]
+    types = {"text": pa.string(), "count": pa.int64(), "number": pa.float64()}
+    schema = pa.schema([(column, types[kind]) for column, kind in LAKE.kinds.items()])
+    table = pa.Table.from_pylist([asdict(row) for row in rows], schema=schema)
+    with result_file(lake / f"{report.log.sha256[:16]}_{settings_sha256[:16]}_{version}.parquet", force=True) as file:
+        # Small files are read faster without dictionaries, compression and statistics.
+        write_table(table, file, use_dictionary=False, compression="none", write_statistics=False)

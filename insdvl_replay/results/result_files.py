@@ -8,14 +8,23 @@ from pathlib import Path
 from insdvl_replay import __version__, logs
 from insdvl_replay.core.config_file import render_toml
 from insdvl_replay.core.dive_columns import Floats, TimeNs
-from insdvl_replay.core.errors import ConfigError, visible
+from insdvl_replay.core.errors import visible
 from insdvl_replay.core.quantities import HELD_OUT, is_whole
 from insdvl_replay.core.result import Block, Report, as_json, build_report, this_tool
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DVL_AIDING
 from insdvl_replay.core.tables import each_table
 from insdvl_replay.replay import Replay
-from insdvl_replay.results.folder import COMPLETE, LAYOUT_FILES, PAGE, REPLAY_LOG, TRAJECTORY_FILE, history_file
+from insdvl_replay.results.folder import (
+    COMPLETE,
+    LAYOUT_FILES,
+    PAGE,
+    REPLAY_LOG,
+    SETTINGS_FILE,
+    TRAJECTORY_FILE,
+    history_file,
+    require_parquet,
+)
 from insdvl_replay.results.trajectory import trajectory_of, write_trajectory
 from insdvl_replay.show.answers import has_reference
 from insdvl_replay.show.dive import NO_REFERENCE, dive_page
@@ -65,7 +74,7 @@ def save_replay(replay: Replay, folder: Path, *, histories: bool = True) -> None
     for name, text in replay.printed.items():
         (folder / f"candidate_{name}.txt").write_text(text, "utf-8")
     write_trajectory(folder / TRAJECTORY_FILE, trajectory_of(replay))
-    (folder / "config.toml").write_text(settings, "utf-8")
+    (folder / SETTINGS_FILE).write_text(settings, "utf-8")
     (folder / "run.log").write_text(run_log(report), "utf-8")
     report_stage("drawing the report")
     strips = coverage_strips(replay)  # before the figures, which hold much until they are drawn
@@ -114,13 +123,5 @@ def save_histories(replay: Replay, folder: Path, format_: str) -> None:
         if format_ == CSV:
             path.write_bytes(table_csv(frame))
         else:
-            require_parquet()
+            require_parquet("--history parquet", "--history csv")
             frame.to_parquet(path, index=False)
-
-
-def require_parquet() -> None:
-    """Raise a ConfigError where nothing can write Parquet."""
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise ConfigError("--history parquet needs pyarrow", "pip install pyarrow, or --history csv") from error

@@ -18,7 +18,7 @@ DOCUMENTED = {
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
         "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--kml", "--geojson",
-        "--history <csv|parquet>", "--against KEY=VALUE", "--fail-on worse|P%", "--strict",
+        "--history <csv|parquet>", "--lake DIR", "--against KEY=VALUE", "--fail-on worse|P%", "--strict",
         "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],

@@ -51,6 +51,9 @@ WRONG = (
     "check absent.toml",
     "check code.toml",
     "run DIVE -c code.toml",
+    "run DIVE --lake text.mcap",
+    "run DIVE --lake thesis",
+    "run DIVE --lake .",
 )
 CODE = '[filters.baseline]\naiding = ["velocity"]\n[filters.mine]\naiding = ["velocity", "told_code:Down"]\n'
 
