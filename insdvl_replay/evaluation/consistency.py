@@ -6,7 +6,6 @@ Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Na
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -31,7 +30,6 @@ FEWEST_PAIRS: Final = 10  # With fewer pairs of neighbours: ``insufficient data`
 # 10 % less, than that of white noise.
 SMALL_AUTOCORRELATION: Final = 0.1
 NORMAL_95: Final = 1.96  # 95 % of a normal variable are within this number of standard deviations.
-NO_SENSORS: Final[Mapping[str, Floats]] = MappingProxyType({})
 
 
 # --- The mean of a NIS or NEES, its chi-square interval and its verdict.
@@ -103,7 +101,7 @@ def mean_verdict(squared: Floats, dof: int, samples: float) -> MeanVerdict:
 def consistency_table(
     log: str,
     histories: tuple[History, ...],
-    sensor_sd: Mapping[str, Floats] = NO_SENSORS,  # (s,), noise of one reading of each held-out sensor, SI
+    sensor_sd: Mapping[str, Floats],  # (s,), noise of one reading of each held-out sensor, SI
 ) -> list[ConsistencyRow]:
     """Return the consistency of each filter's innovations, by measurement and by axis.
 
@@ -161,7 +159,7 @@ def consistency_table(
     return rows
 
 
-def _nis_verdict(nis: Floats, dof: int, components: Floats | None = None) -> MeanVerdict:
+def _nis_verdict(nis: Floats, dof: int, components: Floats | None) -> MeanVerdict:
     """Return the verdict on a mean NIS; correlated components count as fewer samples."""
     if len(nis) < FEWEST_UPDATES:
         return MeanVerdict(verdict=Consistency.INSUFFICIENT)

@@ -10,7 +10,6 @@ of the dive is its last tenth.
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -47,9 +46,6 @@ class MeasuredConvergence(NamedTuple):
     # Ratio NaN unless both are reached; ends of the ratios over resampled starts, NaN where the baseline does not fall;
     # the starts are its samples.
     interval: RatioInterval
-
-
-NOT_MEASURED: Final[Mapping[str, Mapping[str, MeasuredConvergence]]] = MappingProxyType({})
 
 
 def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict[str, MeasuredConvergence]:
@@ -254,7 +250,7 @@ def _mean(improvements_pct: Iterable[float]) -> float:
 
 
 def convergence_table(
-    log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]] = NOT_MEASURED
+    log: str, histories: tuple[History, ...], measured: Mapping[str, Mapping[str, MeasuredConvergence]]
 ) -> list[ConvergenceRow]:
     """Return when the sigma of each candidate stays below the baseline's final one, and when it is nearest to it.
 

@@ -46,8 +46,6 @@ Complexes = NDArray[np.complex128]
 class Segments(NamedTuple):
     """m pairs of the compared times, the same for all filters of a dive."""
 
-    start_ns: TimeNs
-    end_ns: TimeNs
     first: NDArray[np.int64]  # rows of the compared times
     last: NDArray[np.int64]
     steps: int  # following segments that one overlaps with: the least block of `series.paired_ratio`
@@ -81,7 +79,7 @@ def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMEN
     # The rest at the end of the dive is no segment; the last segment may be short by rounding.
     first = first[travelled[first] + length <= travelled[-1:] + ROUNDING * length]
     if not len(first):
-        return Segments(time_ns[:0], time_ns[:0], first, first, 1)
+        return Segments(first, first, 1)
     end = travelled[first] + length
     after = np.minimum(np.searchsorted(travelled, end), len(travelled) - 1)
     last = np.where(travelled[after] - end > end - travelled[after - 1], after - 1, after)
@@ -90,7 +88,7 @@ def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMEN
     # Segments in which the vehicle stops hold many more.
     inside = np.searchsorted(first, last) - np.arange(len(first))
     steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
-    return Segments(time_ns[first], time_ns[last], first, last, steps)
+    return Segments(first, last, steps)
 
 
 def segment_drift(errors: ReferenceErrors | DrawnErrors, segments: Segments) -> Drift:
@@ -130,11 +128,13 @@ def drift_table(
         distance_m = reference_distance_m(reference, time_ns) if len(time_ns) else np.empty(0)
         with np.errstate(over="ignore", invalid="ignore"):
             course, position_m = course_errors(found, reference), np.hypot(*found.position_error_ned_m[:, :2].T)
-            over_time, over_distance = time_segments(time_ns), distance_segments(time_ns, distance_m)
+            segments_of = {"drift_60s": time_segments(time_ns), "drift_100m": distance_segments(time_ns, distance_m)}
             sizes[name] = {
                 "position_h": (position_m, time_ns, time_ns),
-                "drift_60s": (segment_drift(found, over_time).horizontal_m, *over_time[:2]),
-                "drift_100m": (segment_drift(found, over_distance).horizontal_m, *over_distance[:2]),
+                **{
+                    quantity: (segment_drift(found, chosen).horizontal_m, time_ns[chosen.first], time_ns[chosen.last])
+                    for quantity, chosen in segments_of.items()
+                },
                 "velocity_along": (np.abs(course.along_mps), time_ns, time_ns),
                 "velocity_across": (np.abs(course.across_mps), time_ns, time_ns),
             }

@@ -31,8 +31,6 @@ from insdvl_replay.show.dive import NO_REFERENCE, dive_page
 from insdvl_replay.show.document import table_csv
 from insdvl_replay.show.figures import coverage_strips, first_panels, replay_figures
 
-CSV, PARQUET = "csv", "parquet"
-
 
 def report_of(replay: Replay) -> Report:
     """Return the report of a replay."""
@@ -120,7 +118,7 @@ def save_histories(replay: Replay, folder: Path, format_: str) -> None:
 
     for history in replay.histories:
         path, frame = folder / history_file(history.filter, format_), history_frame(history)
-        if format_ == CSV:
+        if format_ == "csv":
             path.write_bytes(table_csv(frame))
         else:
             require_parquet("--history parquet", "--history csv")

@@ -35,7 +35,7 @@ NOISE = Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=1e-5)
 
 def judged(nis: Floats, used: Floats | NDArray[np.bool_] | None = None) -> Any:
     """Give the row of the whole measurement."""
-    return frame(consistency_table("dive", (history("baseline", nis, used),))).iloc[0]
+    return frame(consistency_table("dive", (history("baseline", nis, used),), {})).iloc[0]
 
 
 # --- Chi-square.
@@ -117,7 +117,7 @@ def test_every_filter_and_measurement_has_a_row() -> None:
         history("aided", np.full(30, 3.0), measurement="acceleration"),
     )
     aided = replace(other, innovations=baseline.innovations + other.innovations)
-    table = frame(consistency_table("dive", (baseline, aided)))
+    table = frame(consistency_table("dive", (baseline, aided), {}))
     assert table.columns.tolist() == [
         "log", "filter", "measurement", "dof", "used", "rejected", "mean_nis", "low", "high", "verdict",
         "autocorrelation", "autocorrelation_limit", "whiteness", "why",
@@ -136,7 +136,7 @@ def with_innovations(innovation_b: Floats, sd_b: Floats, used: NDArray[np.bool_]
     """Give the rows of a velocity whose components are independent."""
     made = history("baseline", np.sum((innovation_b / sd_b) ** 2, axis=1), used)
     innovations = replace(made.innovations[0], innovation=innovation_b, sd=sd_b)
-    table = frame(consistency_table("dive", (replace(made, innovations=(innovations,)),)))
+    table = frame(consistency_table("dive", (replace(made, innovations=(innovations,)),), {}))
     return table.set_index("measurement")
 
 

@@ -68,6 +68,6 @@ def test_rejected_pings_count_against_the_filter_that_rejects_them() -> None:
     """A filter that is surprised by a third of the pings, and hears none of them, is not the more honest for that."""
     surprised = np.where(np.arange(300) % 3 == 0, 1e4, 3.0)
     gated = history("aided", surprised, surprised < GATE)
-    row = consistency(consistency_table("dive", (history("baseline", np.full(300, 3.0)), gated)))["nis"]
+    row = consistency(consistency_table("dive", (history("baseline", np.full(300, 3.0)), gated), {}))["nis"]
     assert (row.baseline, row.value) == pytest.approx((1.0, (2.0 * 3.0 + GATE) / 9.0))
     assert row.verdict == "worse"

@@ -126,12 +126,14 @@ def test_differences_that_are_too_large_are_found_all_the_same() -> None:
 
 def test_a_filter_without_the_states_that_a_sensor_needs_does_not_tell_how_far_off_it_may_be() -> None:
     met = history("baseline", "position", np.ones((99, 2)))
-    rows = consistency_table("dive", (replace(met, states=STATES),))
+    rows = consistency_table("dive", (replace(met, states=STATES),), {})
     assert [(row.verdict, np.isnan(row.mean_nis or 0.0), row.whiteness) for row in rows] == [
         ("not available", True, "correlated")
     ] * 3
     # A gauge of depth has a zero, too.
-    assert consistency_table("dive", (history("baseline", "depth", np.ones((99, 1))),))[0].verdict == "not available"
+    assert (
+        consistency_table("dive", (history("baseline", "depth", np.ones((99, 1))),), {})[0].verdict == "not available"
+    )
 
 
 @pytest.mark.parametrize(("noise", "verdict"), [(1.0, "insufficient data"), (0.5, "conservative")])

@@ -86,7 +86,7 @@ def test_status_of_an_improvement(before: float, after: float, status: str, pct:
 
 def test_every_candidate_is_held_against_the_first() -> None:
     histories = tuple(history(name, np.array([9.0, end])) for name, end in (("a", 8.0), ("b", 4.0), ("c", 2.0)))
-    improvement, convergence = frame(improvement_table("d", histories)), frame(convergence_table("d", histories))
+    improvement, convergence = frame(improvement_table("d", histories)), frame(convergence_table("d", histories, {}))
     assert improvement["filter"].tolist() == convergence["filter"].tolist() == ["b"] * 12 + ["c"] * 12
     assert improvement["improvement_pct"].to_numpy() == pytest.approx([50.0] * 12 + [75.0] * 12)
 
@@ -94,7 +94,7 @@ def test_every_candidate_is_held_against_the_first() -> None:
 def test_baseline_alone_has_nothing_to_compare() -> None:
     alone = (history("baseline", np.ones(3)),)
     assert improvement_table("d", alone) == []
-    assert convergence_table("d", alone) == []
+    assert convergence_table("d", alone, {}) == []
 
 
 # --- Convergence.
@@ -142,7 +142,7 @@ def test_target_that_is_not_a_number_is_never_reached() -> None:
 def test_convergence_counts_seconds_from_the_start() -> None:
     baseline = history("baseline", np.array([9.0, 8.0, 7.0, 6.0, 5.0]), interval_s=2.5)
     aided = history("aided", np.array([9.0, 6.0, 4.0, 3.0, 2.0]), interval_s=2.5)
-    table = frame(convergence_table("dive", (baseline, aided)))
+    table = frame(convergence_table("dive", (baseline, aided), {}))
     assert table.columns.tolist() == [
         "log", "filter", "state", "unit", "target_sd", "baseline_s", "reached_s", "improvement_pct", "status",
         "measured_target", "measured_baseline_s", "measured_s", "measured_status", "unchanged_s",
@@ -164,7 +164,7 @@ def test_convergence_counts_seconds_from_the_start() -> None:
 
 @pytest.mark.parametrize(("sd", "status"), [([4.0, 3.0, 2.0], "at_start"), ([9.0, 8.0, 7.0], "never")])
 def test_what_was_not_reached_has_no_time(sd: list[float], status: str) -> None:
-    rows = convergence_table("d", (history("b", np.array([9.0, 6.0, 5.0])), history("a", np.array(sd))))
+    rows = convergence_table("d", (history("b", np.array([9.0, 6.0, 5.0])), history("a", np.array(sd))), {})
     table = frame(rows)
     assert set(table["status"]) == {status}
     assert table[["reached_s", "improvement_pct"]].isna().all(axis=None)
@@ -174,7 +174,7 @@ def test_what_was_not_reached_has_no_time(sd: list[float], status: str) -> None:
 def test_a_candidate_that_changes_nothing_is_as_much_sooner_as_the_baseline_itself_was() -> None:
     """As sure after two of four seconds as at the end, which is when the paper takes it to have converged."""
     baseline = history("baseline", np.array([9.0, 8.0, 5.0, 5.0, 5.0]))
-    rows = convergence_table("dive", (baseline, history("same", baseline.sd), history("aided", 0.9 * baseline.sd)))
+    rows = convergence_table("dive", (baseline, history("same", baseline.sd), history("aided", 0.9 * baseline.sd)), {})
     assert [row.unchanged_s for row in rows] == pytest.approx([2.0] * len(rows))
     assert mean_over_nine(rows, "same") == unchanged_over_nine(rows, "same") == pytest.approx(50.0)
     assert mean_over_nine(rows, "aided") > unchanged_over_nine(rows, "aided") == pytest.approx(50.0)
@@ -206,7 +206,7 @@ def test_mean_of_the_nearest_approaches_is_over_the_nine_states() -> None:
     aided = np.repeat((12.0 - times_s)[:, None], 12, axis=1)
     for k, state in enumerate(NINE):
         aided[:, state.index] = 2.0 + np.abs(times_s - k)
-    rows = convergence_table("dive", (baseline, history("aided", aided), history("same", baseline.sd)))
+    rows = convergence_table("dive", (baseline, history("aided", aided), history("same", baseline.sd)), {})
     found = {row.state: row for row in rows if row.filter == "aided"}
     assert [found[state.id].nearest_approach_s for state in NINE] == list(range(9))
     assert nearest_over_nine(rows, "aided") == pytest.approx(60.0)
@@ -279,7 +279,7 @@ def test_papers_improvements_follow_from_its_standard_deviations(
 
 
 def test_papers_convergence_follows_from_its_times(printed: Any, papers_histories: tuple[History, History]) -> None:
-    rows = convergence_table("straight", papers_histories)
+    rows = convergence_table("straight", papers_histories, {})
     table = frame(rows)
     for state in NINE:
         found, line = row(table, state.id), printed.loc[state.id]
