@@ -321,10 +321,11 @@ def compare_settings(
     force : bool
         Replace other results.
     """
+    from insdvl_replay.batch.dive_paths import FoundDive
     from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
 
-    options = ReplayOptions(before, allow_damaged=allow_damaged)
-    (old, old_jobs), (new, new_jobs) = plan_both_sides(_paths(logs), Path(folder), options, after)
+    options = ReplayOptions(before, allow_damaged), ReplayOptions(after, allow_damaged)
+    (old, old_jobs), (new, new_jobs) = plan_both_sides([*map(FoundDive, _paths(logs))], Path(folder), options)
     jobs = [*old_jobs, *new_jobs]
     for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
         if isinstance(outcome.result, Exception):
@@ -359,9 +360,13 @@ def check(
     files = [base / found.content.config] if found.content.config and config is None else []
     settings = config or _load_config(found.content.preset, files)
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
-    paths = find_dives(named, base, results=True)
     checked = checked_dives(
-        found, paths, Path(results), options, lambda jobs: replay_jobs(jobs, known_reports(jobs, force=True), None)
+        found,
+        find_dives(named, base, results=True),
+        Path(results),
+        options,
+        lambda jobs: replay_jobs(jobs, known_reports(jobs, force=True), None),
+        lambda own: config or _load_config(found.content.preset, [own, *files]),
     )
     return CommandResult(check_result(evaluate_gates(found, checked)))
 

@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.logs import write_dive
 from insdvl_replay.logs.formats.recording import Recording
+from insdvl_replay.sim.dive import simulate_dive
 
 START_NS = 1_700_000_000_000_000_000
 IMU_MESSAGES, DVL_MESSAGES = 500, 25
@@ -56,6 +57,15 @@ def written() -> bytes:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "dive.mcap"
         write_dive(path, Dive("dive", imu, dvl))
+        return path.read_bytes()
+
+
+@cache
+def simulated() -> bytes:
+    """Write 20 s of a simulated dive, which can be replayed as it is."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "dive.mcap"
+        write_dive(path, simulate_dive("straight", seed=3, duration_s=20.0))
         return path.read_bytes()
 
 

@@ -3,11 +3,13 @@
 import glob
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
-from insdvl_replay.core.errors import ConfigError, NaturalKey, natural_key, read_text
+from insdvl_replay.core.errors import ConfigError, NaturalKey, UserError, natural_key, read_text
 from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"
@@ -18,7 +20,37 @@ BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
 
 
-def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = False) -> list[Path]:
+@dataclass(frozen=True)
+class FoundDive:
+    """A dive that is meant, and what its manifest says of it."""
+
+    path: Path  # of a remote log, in the cache; its name alone where it was not fetched
+    url: str = ""
+    settings: Path | None = None  # of this dive
+    error: UserError | None = None  # why it cannot be used
+
+
+def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
+    """Return the settings that all dives have by their manifest; those of several vehicles are a ConfigError."""
+    files = {dive.settings for dive in dives}
+    if len(files) > 1:
+        raise ConfigError(
+            f"{command}: the dives have different settings", "choose dives of one vehicle: dives.toml#TAG"
+        )
+    return files.pop() if files else None
+
+
+def usable_paths(dives: Sequence[FoundDive]) -> list[Path]:
+    """Return the files of dives; the first that cannot be used raises its error."""
+    for dive in dives:
+        if dive.error is not None:
+            raise dive.error
+    return [dive.path for dive in dives]
+
+
+def find_dives(
+    names: Sequence[str], base: Path = Path(), *, results: bool = False, fetch: bool = True
+) -> list[FoundDive]:
     """Find the dives that are meant, in the order of the names, by name below a folder, and each once.
 
     A name is one of these:
@@ -27,7 +59,8 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
     - a folder, which stands for every log and bag below it; tables in a folder without logs are one dive;
     - a pattern with ``*``, ``?`` or ``**``;
     - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment;
-    - a .toml manifest, ``dives.toml#TAG`` for its dives with a tag.
+    - a .toml manifest, ``dives.toml#TAG`` for its dives with a tag;
+    - a URL of a log, which is fetched into the cache, or with ``fetch`` false only named.
 
     Hidden folders are left out. Where a folder or a pattern stands for logs that differ in their ending alone, they are
     one log before and after it was converted, and one of them is taken, .mcap first. Result folders are dives if
@@ -37,11 +70,11 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
     cannot be read; so is a folder that may not be read. A pattern, folder or list without any dive, a list that cannot
     be read, or a name that no file can have is a ConfigError.
     """
-    found: dict[str, Path] = {}
+    found: dict[str, FoundDive] = {}
     for name in names:
         try:
-            for dive in _meant(name, base, results=results):
-                found.setdefault(os.path.realpath(dive), dive)
+            for dive in _meant(name, base, results=results, fetch=fetch):
+                found.setdefault(dive.url or os.path.realpath(dive.path), dive)
         except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
             reason = getattr(error, "strerror", None) or error
             raise ConfigError(f"{name}: is not a usable path: {reason}", "check the path") from error
@@ -52,9 +85,20 @@ def _natural(path: Path) -> tuple[NaturalKey, ...]:
     return tuple(map(natural_key, path.parts))
 
 
-def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[Path]:
+def _meant(name: str, base: Path, *, results: bool, fetch: bool, lists: bool = True) -> list[FoundDive]:
     path, (listing, _, tag) = base / name, name.partition("#")
     manifest = base / listing
+    if "://" in name:
+        from insdvl_replay.logs.formats.remote import fetched, remote_name
+
+        try:
+            return [FoundDive(fetched(name) if fetch else remote_name(name), name)]
+        except UserError as error:
+            return [FoundDive(remote_name(name), name, error=error)]
+    if lists and manifest.suffix == MANIFEST_SUFFIX and manifest.is_file():
+        from insdvl_replay.batch.manifest import manifest_dives
+
+        return manifest_dives(manifest, tag, fetch=fetch)
     if lists and path.suffix == LIST_SUFFIX and path.is_file():
         try:
             lines = [line.strip() for line in read_text(path).splitlines()]
@@ -62,29 +106,29 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
             hint = "one path a line, UTF-8"
             raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", hint) from error
         chosen = [line for line in lines if line and not line.startswith("#")]
-        found = [dive for line in chosen for dive in _meant(line, path.parent, results=results, lists=False)]
-    elif lists and manifest.suffix == MANIFEST_SUFFIX and manifest.is_file():
-        from insdvl_replay.batch.manifest import manifest_dives
-
-        found = manifest_dives(manifest, tag)
-    elif path.is_dir():
-        found = list(_in_folder(path, set(), results=results))
-    elif "://" in name:
-        hint = 'list it in a manifest: [[dive]] url = "..." and sha256 = "..."'
-        raise ConfigError(f"{name}: a remote log needs its digest", hint)
-    elif path.exists() or not set("*?[") & set(name):
-        return [path]
+        inside = partial(_meant, base=path.parent, results=results, fetch=fetch, lists=False)
+        found = [dive for line in chosen for dive in inside(line)]
     else:
-        seen: set[str] = set()
-        found = []
-        for match in _once_each(sorted(set(_globbed(path)), key=_natural)):
-            if match.is_dir():
-                found += _in_folder(match, seen, results=results)
-            elif match.suffix in LOG_SUFFIXES + TABLE_SUFFIXES:
-                found.append(match)
+        found = [FoundDive(dive) for dive in _local(path, results=results)]
     if not found:
         kinds = "logs, bags or results" if results else "logs, bags or tables"
         raise ConfigError(f"{path}: no dive is found there", f"check the path: it needs {kinds}")
+    return found
+
+
+def _local(path: Path, *, results: bool) -> list[Path]:
+    """Return the dives of a file, a folder or a pattern."""
+    if path.is_dir():
+        return list(_in_folder(path, set(), results=results))
+    if path.exists() or not set("*?[") & set(str(path)):
+        return [path]
+    seen: set[str] = set()
+    found: list[Path] = []
+    for match in _once_each(sorted(set(_globbed(path)), key=_natural)):
+        if match.is_dir():
+            found += _in_folder(match, seen, results=results)
+        elif match.suffix in LOG_SUFFIXES + TABLE_SUFFIXES:
+            found.append(match)
     return found
 
 

@@ -20,6 +20,7 @@ import msgspec
 from msgspec.structs import replace as changed
 
 from insdvl_replay import __version__
+from insdvl_replay.batch.dive_paths import FoundDive, shared_settings
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_record import unique_names
@@ -45,6 +46,8 @@ from insdvl_replay.results.folder import (
 if TYPE_CHECKING:
     from insdvl_replay.changes.gate_file import Checked, Gates
 
+OwnConfig = Callable[[Path], Config] | None
+"""Resolves the settings of a dive that has some of its own."""
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
 DAMAGED_RESULT: Final = "result_damaged"
@@ -78,6 +81,7 @@ class ReplayJob:
     options: ReplayOptions
     replaces: bool = False  # a result was there when the replay was asked for; what comes meanwhile stays
     sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
+    error: UserError | None = None  # why the dive cannot be had
 
 
 @dataclass(frozen=True)
@@ -89,30 +93,53 @@ class Outcome:
     unchanged: bool = False  # the result was there already
 
 
-def plan_jobs(logs: Sequence[Path], output: Path, options: ReplayOptions, *, one_dive: bool = False) -> list[ReplayJob]:
-    """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError."""
-    dives = [tuple(logs)] if one_dive else [(log,) for log in logs]
-    givers = [first for first, *_ in dives]
-    if one_dive and len(logs) > 1:
+def plan_jobs(
+    dives: Sequence[FoundDive],
+    output: Path,
+    options: ReplayOptions,
+    own_config: OwnConfig = None,
+    *,
+    one_dive: bool = False,
+) -> list[ReplayJob]:
+    """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError.
+
+    ``own_config`` resolves the settings of the dives that have some of their own.
+    """
+    logs = [tuple(dive.path for dive in dives)] if one_dive else [(dive.path,) for dive in dives]
+    givers = [first for first, *_ in logs]
+    if one_dive and len(dives) > 1:
         from insdvl_replay.logs import name_giver  # heavy
 
-        givers = [name_giver(tuple(logs))]
+        givers = [name_giver(logs[0])]
+        shared_settings(dives, "--one-dive")
+    errors = [next((dive.error for dive in dives if dive.error), None)] if one_dive else [dive.error for dive in dives]
+    own: dict[Path | None, ReplayOptions] = {}
+    for file in {dive.settings for dive in dives}:
+        if file is not None and own_config is not None:
+            own[file] = replace(options, config=own_config(file), require_fit=False)
     names = unique_names(givers)
     return [
-        ReplayJob(dive, giver, output / name, options, replaces=os.path.lexists(output / name))
-        for dive, giver, name in zip(dives, givers, names, strict=True)
-    ]
+        ReplayJob(
+            log, giver, output / name, own.get(dive.settings, options),
+            replaces=os.path.lexists(output / name), error=error,
+        )
+        for log, giver, name, dive, error in zip(logs, givers, names, dives, errors, strict=False)
+    ]  # fmt: skip
 
 
 def plan_both_sides(
-    logs: Sequence[Path], output: Path, options: ReplayOptions, changed: Config, *, one_dive: bool = False
+    dives: Sequence[FoundDive],
+    output: Path,
+    options: tuple[ReplayOptions, ReplayOptions],
+    own_configs: tuple[OwnConfig, OwnConfig] = (None, None),
+    *,
+    one_dive: bool = False,
 ) -> tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]:
     """Plan the replays before and after a change of settings, each side in its folder below the output."""
     old, new = output / "before", output / "after"
-    after = replace(options, config=changed)
     return (
-        (old, plan_jobs(logs, old, options, one_dive=one_dive)),
-        (new, plan_jobs(logs, new, after, one_dive=one_dive)),
+        (old, plan_jobs(dives, old, options[0], own_configs[0], one_dive=one_dive)),
+        (new, plan_jobs(dives, new, options[1], own_configs[1], one_dive=one_dive)),
     )
 
 
@@ -126,6 +153,7 @@ def known_reports(
     result did not write, is a ConfigError.
     """
     known = {}
+    jobs = [job for job in jobs if job.error is None]
     # Where all is replaced anyway, no log needs to be digested.
     found = [None] * len(jobs) if force and rerun else parallel_map(_known_report, jobs)
     for job, report in zip(jobs, found, strict=True):
@@ -229,7 +257,8 @@ def replay_jobs(
     the jobs. Workers elsewhere may be in other folders, on other machines.
     """
     todo = [job for job in jobs if job.target not in known]
-    done: dict[Path, Outcome] = {}
+    done = {job.target: Outcome(job, job.error) for job in jobs if job.error is not None}
+    todo = [job for job in todo if job.error is None]
     steps = track_progress("dive", todo)
     next(steps, None)
     sent = list(parallel_map(_for_elsewhere, todo)) if elsewhere else todo
@@ -253,23 +282,25 @@ def replay_jobs(
 
 def checked_dives(
     gates: "Gates",
-    paths: Sequence[Path],  # logs and results
+    dives: Sequence[FoundDive],  # logs and results
     output: Path,  # of the replays
     options: ReplayOptions,
     replay: Callable[[Sequence[ReplayJob]], Generator[Outcome, None, None]],
+    own_config: OwnConfig = None,
 ) -> "list[Checked]":
     """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
     from insdvl_replay.changes.gate_file import Checked, require_known_filters
     from insdvl_replay.changes.gates import checked_results
 
-    logs = [path for path in paths if path.suffix != ".json" and not (path / COMPLETE).is_file()]
-    if len(logs) == len(paths):  # stored results may have other filters
-        require_known_filters(gates, list(options.config.filters))
+    logs = [dive for dive in dives if dive.path.suffix != ".json" and not (dive.path / COMPLETE).is_file()]
+    jobs = plan_jobs(logs, output, options, own_config)
+    if len(logs) == len(dives):  # stored results may have other filters
+        require_known_filters(gates, list(dict.fromkeys(name for job in jobs for name in job.options.config.filters)))
     checked = list[Checked]()
-    with closing(replay(plan_jobs(logs, output, options))) as replays:
-        for path in paths:
-            folder = path
-            if path in logs:
+    with closing(replay(jobs)) as replays:
+        for dive in dives:
+            folder = dive.path
+            if dive in logs:
                 outcome = next(replays)
                 folder = outcome.job.target
                 if isinstance(outcome.result, Exception):

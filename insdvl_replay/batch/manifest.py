@@ -1,22 +1,21 @@
-"""Manifests: TOML files that list dives with their digests, licences and tags. Remote logs are kept by their digest.
+"""Manifests: TOML files that list dives with their digests, licences, settings and tags.
 
-A dive is a path relative to the manifest, or a URL that fsspec knows. Nobody can tell whether a remote log is still the
-same without its digest, so a URL needs one. A log that has been fetched once is not asked for again.
+A dive is a path relative to the manifest, or a URL that fsspec knows. A URL needs the digest of its log, so that the
+same manifest always means the same dives.
 """
 
-import hashlib
-import os
-import shutil
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Final
-from urllib.parse import unquote, urlsplit
 
 from msgspec import Meta, Struct
 
+from insdvl_replay.batch.dive_paths import FoundDive
 from insdvl_replay.core.config_file import converted, read_toml
-from insdvl_replay.core.errors import ConfigError, LogError, listed
-from insdvl_replay.core.runtime import track_progress
+from insdvl_replay.core.errors import ConfigError, LogError, UserError, listed
+from insdvl_replay.core.runtime import parallel_map, track_progress
+from insdvl_replay.logs.formats.recording import open_recording
+from insdvl_replay.logs.formats.remote import fetched, file_digest, remote_name
 
 _EXAMPLE: Final = '[[dive]] path = "dive.mcap" or url = "https://..." with sha256'
 
@@ -27,7 +26,9 @@ class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     path: str = ""  # of a log, a bag or a folder of tables, relative to the manifest
     url: str = ""  # of a log
     sha256: Annotated[str, Meta(pattern="^([0-9a-f]{64})?$")] = ""  # of the log, as a report has it
+    settings: str = ""  # a file for -c, relative to the manifest
     licence: str = ""  # for people
+    faults: str = ""  # for people
     tags: tuple[str, ...] = ()
 
 
@@ -37,15 +38,15 @@ class Manifest(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     dive: tuple[ManifestDive, ...]
 
 
-def manifest_dives(file: Path, tag: str = "") -> list[Path]:
-    """Return the dives of a manifest, or those with a tag, as files whose digests are right.
+def manifest_dives(file: Path, tag: str = "", *, fetch: bool = True) -> list[FoundDive]:
+    """Return the dives of a manifest, or those with a tag; a dive that cannot be had or is another has its error.
+
+    Without ``fetch`` a remote log is only named.
 
     Raises
     ------
     ConfigError
         The manifest is wrong, or no dive has the tag.
-    LogError
-        A log cannot be fetched, or its digest is another one.
     """
     source = read_toml(file, _EXAMPLE, if_unreadable="name a file of dives", if_invalid=_EXAMPLE)
     manifest = converted(source.content, Manifest, source)
@@ -56,50 +57,21 @@ def manifest_dives(file: Path, tag: str = "") -> list[Path]:
     if not chosen:
         tags = sorted({tag for dive in manifest.dive for tag in dive.tags})
         raise ConfigError(f"{file}: no dive has the tag '{tag}'", f"its tags are {listed(tags)}" if tags else _EXAMPLE)
-    paths = []
-    for dive in track_progress("fetching dives", chosen):
-        path = file.parent / dive.path if dive.path else _fetched(dive.url, dive.sha256)
-        if dive.path and dive.sha256 and path.exists() and (digest := _digest(path)) != dive.sha256:
+    found = parallel_map(partial(_found, file.parent, fetch=fetch), chosen)
+    return [dive for _, dive in zip(track_progress("fetching dives", chosen), found, strict=True)]
+
+
+def _found(folder: Path, dive: ManifestDive, *, fetch: bool) -> FoundDive:
+    settings, path = folder / dive.settings if dive.settings else None, folder / dive.path
+    try:
+        if dive.url:
+            path = fetched(dive.url, dive.sha256) if fetch else remote_name(dive.url)
+        elif dive.sha256 and path.exists() and (digest := _digest(path)) != dive.sha256:
             raise LogError(f"its SHA-256 is {digest}; the manifest says {dive.sha256}", "restore the log", path)
-        paths.append(path)
-    return paths
+    except UserError as error:
+        return FoundDive(path if dive.path else remote_name(dive.url), dive.url, settings, error)
+    return FoundDive(path, dive.url, settings)
 
 
 def _digest(path: Path) -> str:
-    if path.is_dir():
-        from insdvl_replay.logs.formats.recording import open_recording  # which knows the order of the parts
-
-        return open_recording(path, allow_damaged=True).sha256()
-    with path.open("rb") as log:
-        return hashlib.file_digest(log, "sha256").hexdigest()
-
-
-def cache_folder() -> Path:
-    """Return the folder of logs that were fetched; each is in a folder that has its digest as name."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "insdvl-replay" / "logs"
-
-
-def _fetched(url: str, sha256: str) -> Path:
-    """Return a remote log from the cache, after fetching it if it is not there; one with another digest is not kept."""
-    kept = cache_folder() / sha256 / (Path(unquote(urlsplit(url).path)).name or "dive.mcap")
-    if kept.is_file() and _digest(kept) == sha256:
-        return kept
-    try:
-        import fsspec
-    except ImportError as error:
-        raise ConfigError(f"{url}: needs the package fsspec", "pip install 'insdvl-replay[remote]'") from error
-    kept.parent.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(dir=kept.parent.parent, prefix=".part") as folder:
-        part = Path(folder) / kept.name
-        try:
-            with fsspec.open(url, "rb") as remote, part.open("wb") as target:
-                shutil.copyfileobj(remote, target, 1 << 20)
-        except Exception as error:  # whatever a library makes of a server
-            reason = " ".join(str(error).split())[:200] or type(error).__name__
-            raise LogError(f"cannot be fetched: {reason}", "check the URL and the connection", url) from error
-        if (digest := _digest(part)) != sha256:
-            hint = "ask who offers it; nothing was kept"
-            raise LogError(f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}", hint, url)
-        kept.parent.mkdir(exist_ok=True)
-        part.replace(kept)
-    return kept
+    return open_recording(path, allow_damaged=True).sha256() if path.is_dir() else file_digest(path)

@@ -15,6 +15,7 @@ from insdvl_replay.cli.messages import log_failure, log_findings, log_info, log_
 from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
+    from insdvl_replay.batch.dive_paths import FoundDive
     from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Result
@@ -60,40 +61,52 @@ def inspect(
       insdvl-replay inspect dives/*.mcap --format json
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
-    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
     from insdvl_replay.cli.screen import progress, written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.result import as_json
     from insdvl_replay.inspection.inventory import inspection_result
-    from insdvl_replay.inspection.survey import inspect_log
+    from insdvl_replay.inspection.survey import inspect_log, inspect_summary
     from insdvl_replay.results.folder import require_replaceable_file
 
     if propose is not None:
         require_replaceable_file(propose, force=force)
-    given, code = load_config(preset, config, settings, allow_code=True, report=log_info), 0
-    if given.code:
-        log_to_stderr(f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}")
-    resolved = given.without_code()
-    found = find_dives(logs)
+    code = 0
+
+    def load(own: Path | None) -> "Config":
+        files = opt.settings_files(own, config)
+        given = load_config(preset, files, settings, allow_code=True, report=log_info)
+        if given.code:
+            log_to_stderr(f"info: inspect runs no code from the settings; ignored: {', '.join(given.code)}")
+        return given.without_code()
+
+    is_whole = deep or propose is not None
+    found = find_dives(logs, fetch=is_whole or one_dive)
+    configs = {file: load(file) for file in {None, *(dive.settings for dive in found)}}
     dives = [found] if one_dive else [[dive] for dive in found]
     if format_ == "html" and len(dives) > 1:
         raise ConfigError(f"--format html: is a page of one dive, found {len(dives)}", "name one log")
     inventories: list[Inventory] = []
     inspected: list[Sequence[Path]] = []
-    for dive in dives:
+    for files in dives:
+        first = files[0]
         try:
+            dive = usable_paths(files)
             with progress(f"inspecting {dive[0].name}"):
-                inventory = inspect_log(dive, resolved, deep=deep or propose is not None, allow_damaged=allow_damaged)
+                if first.url and not (is_whole or one_dive):
+                    inventory = inspect_summary(first.url, configs[first.settings])
+                else:
+                    inventory = inspect_log(dive, configs[first.settings], deep=is_whole, allow_damaged=allow_damaged)
         except Exception as error:
             code = max(code, log_failure(error, verbose))
             continue
         if format_ != "json":
             arguments = shlex.join(
                 [
-                    *map(str, dive),
+                    *(file.url or str(file.path) for file in files),
                     *(["--one-dive"] if one_dive else []),
                     *(["--preset", preset] if preset else []),
-                    *(text for file in config for text in ("-c", str(file))),
+                    *(text for path in opt.settings_files(first.settings, config) for text in ("-c", str(path))),
                     *(text for setting in settings for text in ("--set", setting)),
                     *(["--allow-damaged"] if allow_damaged else []),
                 ]
@@ -106,7 +119,8 @@ def inspect(
         for content in [inventories] if len(dives) > 1 else inventories:
             write_stdout(as_json(content).decode())
     if propose is not None and inspected:
-        _propose(propose, inspected, resolved, allow_damaged=allow_damaged, force=force)
+        shared = configs[shared_settings(found, "--propose")]
+        _propose(propose, inspected, shared, allow_damaged=allow_damaged, force=force)
     return code
 
 
@@ -194,6 +208,7 @@ def calibrate(
       insdvl-replay calibrate dives/*.mcap -c vehicle.toml --reference -o calibrated.toml
       insdvl-replay calibrate archive --only arm,delay --mounting unknown
     """
+    from insdvl_replay.batch.dive_paths import find_dives, shared_settings
     from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
     from insdvl_replay.cli.screen import CALIBRATION, compiling, progress, written
@@ -201,13 +216,15 @@ def calibrate(
     from insdvl_replay.results.folder import require_replaceable_file, result_file
     from insdvl_replay.show.render import render
 
-    resolved = load_config(preset, config, settings, allow_code=allow_code, report=log_info)
+    logs_found = find_dives(logs)
+    own = shared_settings(logs_found, "calibrate")
+    resolved = load_config(preset, opt.settings_files(own, config), settings, allow_code=allow_code, report=log_info)
     groups = require_groups(None if only is None else only.split(","), reference=reference)
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
     with progress("calibrating", CALIBRATION, compiling()):
-        dives, failed = _read(logs, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
+        dives, failed = _read(logs_found, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
             return failed
         found, resolved, kept, asked = calibrate_dives(
@@ -243,17 +260,17 @@ def calibrate(
 
 
 def _read(
-    logs: list[str], config: "Config", verbose: int, *, allow_damaged: bool, one_dive: bool
+    found: "Sequence[FoundDive]", config: "Config", verbose: int, *, allow_damaged: bool, one_dive: bool
 ) -> tuple[list["ReadDive"], int]:
     """Read the dives; one that cannot be used does not stop the others."""
-    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.dive_paths import usable_paths
     from insdvl_replay.calibration.innovations import read_dive
     from insdvl_replay.core.runtime import track_progress
 
-    paths, dives, code = find_dives(logs), [], 0
-    for path in track_progress("reading", [paths] if one_dive else [[path] for path in paths]):
+    dives, code = [], 0
+    for files in track_progress("reading", [found] if one_dive else [[dive] for dive in found]):
         try:
-            read = read_dive(path, config, allow_damaged=allow_damaged)
+            read = read_dive(usable_paths(files), config, allow_damaged=allow_damaged)
             read.innovations()
             dives.append(read)
         except Exception as error:
@@ -370,12 +387,18 @@ def window(
       insdvl-replay study window dives/*.mcap -c vehicle.toml
       insdvl-replay study window dive.mcap --longest 20
     """
-    from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.dive_paths import find_dives, shared_settings
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.studies.window import LEFT_OUT, study_window
 
+    found = find_dives(logs)
+    own = shared_settings(found, "study window")
     given = [*settings, *opt.span_settings(start, end)]
-    resolved, dives = load_config(preset, config, given, allow_code=True).without_code(), find_dives(logs)
+    resolved = load_config(preset, opt.settings_files(own, config), given, allow_code=True).without_code()
+    codes = [log_failure(dive.error, verbose) for dive in found if dive.error is not None]
+    dives = [dive.path for dive in found if dive.error is None]
+    if not dives:
+        return max(codes)
     report = _keep(
         lambda: study_window(dives, resolved, longest, jobs=jobs),
         "comparing accelerations", output / "window", format_, verbose, force=force, png=png,
@@ -383,7 +406,7 @@ def window(
     left_out = [note.text for note in report.notes if note.code == LEFT_OUT]
     if left_out:
         log_to_stderr(f"error: {len(left_out)} of {len(dives)} logs could not be used; the first: {left_out[0]}")
-    return LogError.exit_code if left_out else 0
+    return max([*codes, LogError.exit_code if left_out else 0])
 
 
 @study.command(cls=opt.PlainCommand)

@@ -15,6 +15,7 @@ from insdvl_replay.core.errors import ConfigError, LimitError, error_context, lo
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.changes.comparison import Comparison
+    from insdvl_replay.core.config import Config
 
 GATE_FAILED = 1
 
@@ -230,12 +231,12 @@ def check(
     if not (dives or content.dives):
         raise ConfigError(f"{gates}: names no dives", f'`insdvl-replay check {gates} DIVE...`, or dives = ["*.mcap"]')
     names, folder = (dives, Path()) if dives else (content.dives, gates.parent)
-    paths = find_dives(names, folder, results=True)[int(part) - 1 :: int(parts)]
+    found_dives = find_dives(names, folder, results=True)[int(part) - 1 :: int(parts)]
     for option, file in (("--output", output), ("--summary-file", summary)):
         if file is not None:
             with error_context(option):
                 require_replaceable_file(file, force=True)
-                if file.resolve() in {read.resolve() for read in (gates, *paths)}:
+                if file.resolve() in {read.resolve() for read in (gates, *(dive.path for dive in found_dives))}:
                     raise ConfigError(f"{file}: is an input of this check", "give it another name")
     if not config and content.config is not None:
         named = gates.parent / content.config
@@ -244,13 +245,18 @@ def check(
                 text = f"{gates}: config names {named}, which is not a file"
                 raise ConfigError(text, "paths are relative to the gate file")
         config = [named]
+
+    def load(own: Path | None = None) -> "Config":
+        files = opt.settings_files(own, config)
+        return load_config(preset or content.preset, files, settings, allow_code=allow_code, report=log_info)
+
     options = ReplayOptions(
-        load_config(preset or content.preset, config, settings, allow_code=allow_code, report=log_info),
+        load(),
         allow_damaged=allow_damaged or content.allow_damaged,
         histories=histories,
     )
     replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
-    checked = checked_dives(chosen, paths, results, options, replayed)
+    checked = checked_dives(chosen, found_dives, results, options, replayed, load)
     codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.expected is None for gate in chosen.gates):

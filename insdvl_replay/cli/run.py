@@ -7,7 +7,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -130,7 +130,6 @@ def run(
         write_stdout,
     )
     from insdvl_replay.cli.screen import written
-    from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
@@ -143,7 +142,7 @@ def run(
         require_parquet("--history parquet", "--history csv")
     require_tables(tables)
     given = [*settings, *opt.span_settings(start, end, starts)]
-    load = partial(load_config, preset, config, given, allow_code=allow_code)
+    load = partial(_settings, preset, config, given, allow_code)
     is_free = auto and not (control or config or scheduler or against)
     options = ReplayOptions(
         load(report=log_info),
@@ -154,14 +153,17 @@ def run(
         require_fit=is_free,
     )
     changed = _changed_settings(load, options.config, against, fail_on, tables, strict=strict)
+    found = find_dives(logs)
     if changed is not None:
         from insdvl_replay.cli.changes import answer_against
 
-        sides = plan_both_sides(find_dives(logs), output, options, changed, one_dive=one_dive)
+        own_configs = load, partial(load, against=against)
+        both = options, replace(options, config=changed)
+        sides = plan_both_sides(found, output, both, own_configs, one_dive=one_dive)
         dives = [job for _, planned in sides for job in planned]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
-    dives = plan_jobs(find_dives(logs), output, options, one_dive=one_dive)
+    dives = plan_jobs(found, output, options, load, one_dive=one_dive)
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
     at_the_end = format_ in ("json", "csv", "html") or set(tables) in ({*TOGETHER}, *({name} for name in TOGETHER))
@@ -237,6 +239,20 @@ def _strict_code(name: str, report: "Report", verbose: int) -> int:
         return 0
     found = f"{name}: --strict allows no warnings, found {', '.join(warnings)}"
     return log_failure(LogError(found, "the result was written; leave --strict out to accept it"), verbose)
+
+
+def _settings(
+    preset: str | None,
+    config: list[Path],
+    given: list[str],
+    allow_code: bool,
+    own: Path | None = None,
+    **options: Any,
+) -> "Config":
+    """Resolve the settings, or those of a dive that has some of its own."""
+    from insdvl_replay.core.config_file import load_config
+
+    return load_config(preset, opt.settings_files(own, config), given, allow_code=allow_code, **options)
 
 
 def _changed_settings(
@@ -388,15 +404,16 @@ def outcomes(
 
     if lake is not None:
         require_lake(lake, {dive.target.parent for dive in dives})
-    if dives[0].options.require_fit:
-        replays = outcomes_without_settings(dives, jobs, force=force, rerun=rerun)
-    else:
-        replays = outcomes_as_planned(dives, jobs, scheduler, force=force, rerun=rerun)
-    with closing(replays):
-        for outcome in replays:
-            if lake is not None and not isinstance(outcome.result, Exception):
-                add_to_lake(lake, outcome.result)
-            yield outcome
+    needing = [dive for dive in dives if dive.options.require_fit and dive.error is None]
+    settled = [dive for dive in dives if dive not in needing]
+    parts = [outcomes_as_planned(settled, jobs, scheduler, force=force, rerun=rerun)] if settled else []
+    parts += [outcomes_without_settings(needing, jobs, force=force, rerun=rerun)] if needing else []
+    for replays in parts:
+        with closing(replays):
+            for outcome in replays:
+                if lake is not None and not isinstance(outcome.result, Exception):
+                    add_to_lake(lake, outcome.result)
+                yield outcome
 
 
 def outcomes_as_planned(

@@ -116,6 +116,7 @@ class Severity(StrEnum):
 class Reading(StrEnum):
     """How much of a log was read to inspect it."""
 
+    SUMMARY = "summary"
     SAMPLE = "sample"
     WHOLE = "whole"
 

@@ -143,8 +143,11 @@ def answer_lines(inventory: Inventory, arguments: str = "") -> list[Callout | Co
     arguments = arguments or shlex.quote(inventory.log.name)
     run, name = f"insdvl-replay run {arguments}", inventory.log.name
     if not inventory.blockers:
-        whole = inventory.reading == Reading.WHOLE
-        found = "can be replayed" if whole else "can be replayed by its first messages; --deep reads all"
+        found = {
+            Reading.SUMMARY: "has what a replay needs by its summary; `run` fetches and reads it",
+            Reading.SAMPLE: "can be replayed by its first messages; --deep reads all",
+            Reading.WHOLE: "can be replayed",
+        }[inventory.reading]
         return [Callout(f"{name} {found}:", "good"), Code(run, "")]
     # The first clause of the first blocker; all are below in full.
     first, count = inventory.blockers[0], len(inventory.blockers)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, Rol
 from insdvl_replay.inspection.proposal import propose, settings_toml, undecided_keys
 from insdvl_replay.logs.formats.log_file import by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
+from insdvl_replay.logs.formats.remote import read_summary, remote_name
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
 
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
@@ -64,17 +65,8 @@ def inspect_log(
         log=facts,
         reading=Reading.WHOLE if deep else Reading.SAMPLE,
         topics=tuple(_topic_facts(log, log_times, findings)),
-        roles=tuple(
-            RoleFacts(
-                finding.role,
-                ", ".join(source.topic for source in finding.sources) or None,
-                finding.reason,
-                tuple(source.topic for source in finding.candidates),
-                {quantity: path for source in finding.sources for quantity, path in source.fields.items()},
-            )
-            for finding in findings
-        ),
-        conventions={source.topic: dict(source.conventions) for source in sources if source.conventions},
+        roles=_role_facts(findings),
+        conventions=_conventions(findings),
         clocks=tuple(seen.clocks),
         pings=seen.pings,
         reference=seen.reference,
@@ -110,11 +102,100 @@ def inspect_log(
         return replace(inventory, blockers=(*inventory.blockers, Blocker(error.message, error.hint)))
 
 
+def inspect_summary(url: str, config: Config) -> Inventory:
+    """State what the summary of a remote MCAP file tells: its topics and roles. No message is read.
+
+    The times of a topic are those of the chunks that have messages of it.
+
+    Raises
+    ------
+    LogError
+        The summary cannot be read.
+    """
+    summary = read_summary(url)
+    stated, name = summary.statistics, remote_name(url).name
+    findings = find_roles(name, summary.channels, config)
+    role_of = _role_of(findings)
+    topics = []
+    for topic, same in sorted(by_topic(summary.channels).items()):
+        channel, count = max(same, key=lambda channel: channel.messages), sum(channel.messages for channel in same)
+        ids = {channel.id for channel in same}
+        chunks = [chunk for chunk in summary.chunks if not ids.isdisjoint(chunk.message_index_offsets)]
+        start_ns = min((chunk.message_start_time for chunk in chunks), default=stated.message_start_time)
+        end_ns = max((chunk.message_end_time for chunk in chunks), default=stated.message_end_time)
+        span_s = (end_ns - start_ns) * 1e-9
+        topics.append(
+            TopicFacts(
+                topic=topic,
+                type_name=channel.type_name,
+                encoding=channel.encoding,
+                schema_encoding=channel.schema_encoding,
+                role=role_of.get(topic, ""),
+                channels=len(same),
+                messages=count,
+                start_s=(start_ns - stated.message_start_time) * 1e-9 if count else None,
+                end_s=(end_ns - stated.message_start_time) * 1e-9 if count else None,
+                rate_hz=(count - 1) / span_s if count > 1 and span_s > 0.0 else None,
+                longest_gap_s=None,
+            )
+        )
+    facts = LogFacts(
+        name=name,
+        parts=1,
+        size_bytes=summary.size_bytes,
+        profile="",
+        library="",
+        compression=tuple(sorted({chunk.compression or "none" for chunk in summary.chunks})),
+        chunks=stated.chunk_count,
+        messages=stated.message_count,
+        has_summary=True,
+        start_utc=_utc(stated.message_start_time) if stated.message_count else None,
+        duration_s=(stated.message_end_time - stated.message_start_time) * 1e-9,
+        metadata=summary.metadata,
+        attachments=summary.attachments,
+    )
+    errors = [finding.error for finding in findings if finding.error is not None]
+    return Inventory(
+        facts,
+        Reading.SUMMARY,
+        tuple(topics),
+        _role_facts(findings),
+        _conventions(findings),
+        blockers=tuple(Blocker(error.message, error.hint) for error in errors),
+    )
+
+
+def _role_facts(findings: Sequence[Finding]) -> tuple[RoleFacts, ...]:
+    return tuple(
+        RoleFacts(
+            finding.role,
+            ", ".join(source.topic for source in finding.sources) or None,
+            finding.reason,
+            tuple(source.topic for source in finding.candidates),
+            {quantity: path for source in finding.sources for quantity, path in source.fields.items()},
+        )
+        for finding in findings
+    )
+
+
+def _role_of(findings: Sequence[Finding]) -> dict[str, str]:
+    """Return the role by topic, the first of several."""
+    return {source.topic: source.role for finding in reversed(findings) for source in finding.sources}
+
+
+def _conventions(findings: Sequence[Finding]) -> dict[str, dict[str, Any]]:
+    sources = [source for finding in findings for source in (*finding.sources, *finding.candidates)]
+    return {source.topic: dict(source.conventions) for source in sources if source.conventions}
+
+
+def _utc(time_ns: int) -> str:
+    return (_EPOCH + timedelta(microseconds=time_ns // 1000)).isoformat(timespec="seconds")
+
+
 def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
     parts, times = log.parts, [times for times in log_times.values() if times.size]
     first_ns = min((int(part.min()) for part in times), default=0)
     last_ns = max((int(part.max()) for part in times), default=0)
-    start = _EPOCH + timedelta(microseconds=first_ns // 1000) if times and first_ns >= 0 else None
     return LogFacts(
         name=log.path.name,
         parts=len(parts),
@@ -125,7 +206,7 @@ def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
         chunks=sum(part.chunk_count for part in parts),
         messages=sum(part.size for part in times),
         has_summary=all(part.has_summary for part in parts),
-        start_utc=start.isoformat(timespec="seconds") if start else None,
+        start_utc=_utc(first_ns) if times and first_ns >= 0 else None,
         duration_s=(last_ns - first_ns) * 1e-9,
         metadata=tuple(record.name for part in parts for record in part.metadata),
         attachments=tuple(attachment.name for part in parts for attachment in part.attachments),
@@ -133,7 +214,7 @@ def _log_facts(log: Recording, log_times: Mapping[int, TimeNs]) -> LogFacts:
 
 
 def _topic_facts(log: Recording, log_times: Mapping[int, TimeNs], findings: Sequence[Finding]) -> Iterator[TopicFacts]:
-    role_of = {source.topic: source.role for finding in reversed(findings) for source in finding.sources}
+    role_of = _role_of(findings)
     start_ns = min((int(times.min()) for times in log_times.values() if times.size), default=0)
     for topic, same in sorted(by_topic(log.channels).items()):
         # The channel that has messages is the one to describe: some recorders register every topic twice.

@@ -28,7 +28,7 @@ from recorded_parts import write_part
 
 import insdvl_replay
 from insdvl_replay.batch import workers
-from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.dive_paths import FoundDive, find_dives, usable_paths
 from insdvl_replay.batch.jobs import (
     ReplayJob,
     ReplayOptions,
@@ -60,6 +60,10 @@ if __name__ == "__main__":
         print(cluster.scheduler_address, flush=True)
         sys.stdin.read()
 """
+
+
+def found_paths(names: list[str], base: Path = Path(), *, results: bool = False) -> list[Path]:
+    return usable_paths(find_dives(names, base, results=results))
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +144,7 @@ def tree(tmp_path: Path) -> Path:
     ],
 )
 def test_names_are_for_dives(name: str, found: str, tree: Path) -> None:
-    assert [str(path.relative_to(tree)) for path in find_dives([name], tree)] == found.split()
+    assert [str(path.relative_to(tree)) for path in found_paths([name], tree)] == found.split()
 
 
 def test_logs_of_every_kind_are_dives_and_converted_ones_once(tmp_path: Path) -> None:
@@ -149,7 +153,7 @@ def test_logs_of_every_kind_are_dives_and_converted_ones_once(tmp_path: Path) ->
         (tmp_path / name).touch()
 
     def found(name: str) -> list[str]:
-        return [str(path.relative_to(tmp_path)) for path in find_dives([name], tmp_path)]
+        return [str(path.relative_to(tmp_path)) for path in found_paths([name], tmp_path)]
 
     assert found(".") == ["bag", "older/x.bag", "x.mcap", "y.bag", "z.db3"]
     assert found("?.*") == ["x.mcap", "y.bag", "z.db3"]
@@ -158,28 +162,28 @@ def test_logs_of_every_kind_are_dives_and_converted_ones_once(tmp_path: Path) ->
 
 
 def test_results_are_dives_only_where_they_are_wanted(tree: Path) -> None:
-    assert tree / "replay" / "a" in find_dives(["."], tree, results=True)
+    assert tree / "replay" / "a" in found_paths(["."], tree, results=True)
     with pytest.raises(ConfigError, match=r"replay: "):
-        find_dives(["replay"], tree)
+        found_paths(["replay"], tree)
 
 
 def test_logs_next_to_the_report_of_another_tool_are_dives(tree: Path) -> None:
     (tree / "trip" / "report.json").write_text('{"tool": {"name": "another"}}')
-    assert [path.name for path in find_dives(["trip"], tree)] == ["trip_0.mcap", "trip_1.mcap"]
+    assert [path.name for path in found_paths(["trip"], tree)] == ["trip_0.mcap", "trip_1.mcap"]
     (tree / "trip" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
-    assert find_dives(["trip"], tree, results=True) == [tree / "trip"]
+    assert found_paths(["trip"], tree, results=True) == [tree / "trip"]
 
 
 def test_a_list_names_dives_seen_from_its_own_folder(tree: Path) -> None:
     (tree / "2026" / "season.txt").write_text("# the good ones\n\nc.mcap\n../*.mcap\n../bag\n")
-    found = find_dives(["2026/season.txt"], tree)
+    found = found_paths(["2026/season.txt"], tree)
     assert [path.resolve() for path in found] == [
         tree / name for name in ("2026/c.mcap", "a.mcap", "b.mcap", "bag")
     ]  # fmt: skip
 
 
 def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
-    found = find_dives(["b.mcap", "*.mcap", "../" + tree.name, "bag/../b.mcap"], tree)
+    found = found_paths(["b.mcap", "*.mcap", "../" + tree.name, "bag/../b.mcap"], tree)
     assert len(found) == len({path.resolve() for path in found}) == 6
     assert found[:2] == [tree / "b.mcap", tree / "a.mcap"]
 
@@ -292,7 +296,7 @@ def test_one_bad_name_stops_no_archive(archive: Path, tmp_path: Path) -> None:
     shutil.copy(archive / "dive_1.mcap", tmp_path / "dive.mcap")
     (tmp_path / os.fsdecode(b"bad\xff.mcap")).touch()
     (tmp_path / "locked").mkdir()
-    found = find_dives([str(tmp_path)])
+    found = found_paths([str(tmp_path)])
     assert [path.name.encode(errors="replace") for path in found] == [b"bad?.mcap", b"dive.mcap"]
     assert run_command_line(["run", *map(str, found), "-o", str(tmp_path / "out"), "--starts", "1"]) == 3
     assert (tmp_path / "out" / "dive" / "report.json").is_file()
@@ -308,8 +312,8 @@ def test_a_folder_that_may_not_be_read_is_a_dive_that_cannot(tree: Path, monkeyp
         return scanned(path)
 
     monkeypatch.setattr(os, "scandir", scandir)
-    assert tree / "trip" in find_dives(["."], tree)
-    assert tree / "trip" in find_dives(["**/*.mcap"], tree)
+    assert tree / "trip" in found_paths(["."], tree)
+    assert tree / "trip" in found_paths(["**/*.mcap"], tree)
 
 
 @pytest.mark.parametrize("name", [".", "**/*.mcap"])
@@ -321,7 +325,7 @@ def test_links_between_folders_end(name: str, tmp_path: Path) -> None:
         (folder / "dive.mcap").touch()
         for other in folders:
             (folder / f"to_{other.name}").symlink_to(other)
-    assert len(find_dives([name], tmp_path)) == len(folders)
+    assert len(found_paths([name], tmp_path)) == len(folders)
 
 
 @pytest.mark.parametrize("name", ["*.bag", "none?.mcap", "empty", "empty.txt"])
@@ -329,7 +333,7 @@ def test_a_name_without_dives_is_an_error(name: str, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty.txt").write_text("# nothing\n")
     with pytest.raises(ConfigError, match=re.escape(Path(name).name)):
-        find_dives([name], tmp_path)
+        found_paths([name], tmp_path)
 
 
 # --- What is known already.
@@ -348,7 +352,7 @@ def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path
 
 
 def task(*logs: Path, output: Path = Path(), **wishes: Any) -> ReplayJob:
-    (planned,) = plan_jobs(logs, output, ReplayOptions(load_config(), **wishes), one_dive=True)
+    (planned,) = plan_jobs([*map(FoundDive, logs)], output, ReplayOptions(load_config(), **wishes), one_dive=True)
     return planned
 
 
@@ -476,7 +480,7 @@ def test_the_error_on_another_result_says_what_differs(
     settings: list[str], wishes: dict[str, Any], found: str, archive: Path, results: Path
 ) -> None:
     options = ReplayOptions(load_config(overrides=settings), **wishes)
-    jobs = plan_jobs([archive / "dive_1.mcap"], results, options)
+    jobs = plan_jobs([FoundDive(archive / "dive_1.mcap")], results, options)
     with pytest.raises(ConfigError, match=found) as raised:
         known_reports(jobs, force=False)
     assert "--force" in raised.value.hint
@@ -484,7 +488,7 @@ def test_the_error_on_another_result_says_what_differs(
 
 
 def test_the_error_on_a_result_of_another_log_says_so(archive: Path, results: Path) -> None:
-    (job,) = plan_jobs([archive / "dive_1.mcap"], results, ReplayOptions(load_config()))
+    (job,) = plan_jobs([FoundDive(archive / "dive_1.mcap")], results, ReplayOptions(load_config()))
     with pytest.raises(ConfigError, match=r"dive_1: holds a result of another log\n"):
         known_reports(
             [dataclasses.replace(job, logs=(archive / "dive_2.mcap",), name=archive / "dive_2.mcap")], force=False

@@ -13,6 +13,7 @@ import psutil
 import pytest
 
 from insdvl_replay.batch import workers
+from insdvl_replay.batch.dive_paths import FoundDive
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_jobs
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
@@ -110,7 +111,7 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     log_there = tmp_path / "dive.mcap"
     log_there.write_bytes(log.read_bytes())
     monkeypatch.chdir(tmp_path)
-    tasks = plan_jobs([Path("dive.mcap")], Path("out"), ReplayOptions(Config()))
+    tasks = plan_jobs([FoundDive(Path("dive.mcap"))], Path("out"), ReplayOptions(Config()))
     [outcome] = replay_jobs(tasks, {}, lambda _alone: nullcontext((submit, 1, bool)), elsewhere=True)
     assert seen[0].logs == (log_there,)
     assert seen[0].target == tmp_path / "out" / "dive"

@@ -1,25 +1,21 @@
 """Manifests: dives by path and by URL, with digests that must be right; a log that was fetched is not fetched again."""
 
 import hashlib
-import threading
+import json
 from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import Any
 
 import fsspec
 import pytest
-from small_logs import written
+from small_logs import simulated
 
-from insdvl_replay.batch.dive_paths import find_dives
-from insdvl_replay.batch.manifest import cache_folder
+from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs.formats.recording import open_recording
 
-LOG = written()
+LOG = simulated()
 SHA256 = hashlib.sha256(LOG).hexdigest()
 WRONG = "0" * 64
 
@@ -39,6 +35,10 @@ def memory() -> Iterator[Any]:
     system.rm("/dives", recursive=True)
 
 
+def found_paths(*names: str) -> list[Path]:
+    return usable_paths(find_dives(names))
+
+
 def manifest(folder: Path, *dives: str) -> str:
     path = folder / "dives.toml"
     path.write_text("".join(f"[[dive]]\n{dive}\n" for dive in dives))
@@ -53,8 +53,8 @@ def test_paths_are_relative_to_the_manifest_and_chosen_by_tag(tmp_path: Path) ->
         f'path = "a.mcap"\nsha256 = "{SHA256}"\nlicence = "CC-BY-4.0"\ntags = ["deep", "calm"]',
         'path = "b.mcap"\ntags = ["calm"]',
     )
-    assert [path.name for path in find_dives([listed])] == ["a.mcap", "b.mcap"]
-    assert [path.name for path in find_dives([f"{listed}#deep"])] == ["a.mcap"]
+    assert [path.name for path in found_paths(listed)] == ["a.mcap", "b.mcap"]
+    assert [path.name for path in found_paths(f"{listed}#deep")] == ["a.mcap"]
     with pytest.raises(ConfigError, match="no dive has the tag 'windy'") as raised:
         find_dives([f"{listed}#windy"])
     assert raised.value.hint == "its tags are calm, deep"
@@ -66,9 +66,9 @@ def test_a_folder_has_the_digest_of_its_report(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (folder / f"{name}.mcap").write_bytes(LOG)
     digest = open_recording(folder).sha256()
-    assert find_dives([manifest(tmp_path, f'path = "dive"\nsha256 = "{digest}"')]) == [folder]
+    assert found_paths(manifest(tmp_path, f'path = "dive"\nsha256 = "{digest}"')) == [folder]
     with pytest.raises(LogError, match=digest):
-        find_dives([manifest(tmp_path, f'path = "dive"\nsha256 = "{WRONG}"')])
+        found_paths(manifest(tmp_path, f'path = "dive"\nsha256 = "{WRONG}"'))
 
 
 @pytest.mark.parametrize(
@@ -79,80 +79,39 @@ def test_a_wrong_entry_is_a_wrong_setting(tmp_path: Path, line: str) -> None:
         find_dives([manifest(tmp_path, line)])
 
 
-def test_a_wrong_digest_ends_with_3(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "a.mcap").write_bytes(LOG)
-    listed = manifest(tmp_path, f'path = "a.mcap"\nsha256 = "{WRONG}"')
+def test_a_wrong_digest_ends_with_3_and_stops_no_other_dive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.mcap").write_bytes(LOG)
+    listed = manifest(tmp_path, f'path = "a.mcap"\nsha256 = "{WRONG}"', 'path = "b.mcap"', 'path = "c.mcap"')
     assert run_command_line(["run", listed, "-o", str(tmp_path / "out")]) == 3
-    assert f"its SHA-256 is {SHA256}" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"its SHA-256 is {SHA256}" in said
+    assert "2 of 3 logs failed: a, c" in said
+    assert (tmp_path / "out" / "b" / "report.json").is_file()
+    # A result that was there is not taken for one of the right log.
+    assert run_command_line(["run", str(tmp_path / "a.mcap"), "-o", str(tmp_path / "other")]) == 0
+    listed = manifest(tmp_path, f'path = "a.mcap"\nsha256 = "{WRONG}"')
+    assert run_command_line(["run", listed, "-o", str(tmp_path / "other")]) == 3
 
 
-def test_a_url_without_a_digest_leads_to_a_manifest() -> None:
-    with pytest.raises(ConfigError, match="a remote log needs its digest"):
-        find_dives(["https://example.org/dive.mcap"])
+def test_each_dive_has_its_own_settings_below_those_of_c(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.mcap").write_bytes(LOG)
+        (tmp_path / f"{name}.toml").write_text("[dvl]\nscale = 1.01\nlatency_s = 0.02\n")
+    (tmp_path / "b.toml").write_text("[dvl]\nscale = 1.02\n")
+    (tmp_path / "c.toml").write_text("[dvl]\nlatency_s = 0.03\n")
+    listed = manifest(tmp_path, *(f'path = "{name}.mcap"\nsettings = "{name}.toml"' for name in "ab"))
+    command = ["run", listed, "-c", str(tmp_path / "c.toml"), "--starts", "2", "-q", "-o", str(tmp_path / "out")]
+    assert run_command_line(command) == 0
+    used = [json.loads((tmp_path / "out" / name / "report.json").read_bytes())["config"] for name in "ab"]
+    assert [(config["dvl"]["scale"], config["dvl"]["latency_s"]) for config in used] == [(1.01, 0.03), (1.02, 0.03)]
+    assert [config["evaluation"]["starts"] for config in used] == [2, 2]
+    with pytest.raises(ConfigError, match="the dives have different settings"):
+        shared_settings(find_dives([listed]), "calibrate")
+    assert run_command_line(["calibrate", listed]) == 2
 
 
-def test_a_remote_log_is_fetched_once(tmp_path: Path, memory: Any) -> None:
-    listed = manifest(tmp_path, f'url = "memory://dives/dive 1.mcap"\nsha256 = "{SHA256}"')
-    (path,) = find_dives([listed])
-    assert path == cache_folder() / SHA256 / "dive 1.mcap"
-    assert path.read_bytes() == LOG
-    memory.pipe("/dives/dive 1.mcap", b"something else")
-    assert find_dives([listed]) == [path]
-
-
-def test_of_a_log_with_another_digest_nothing_is_kept(tmp_path: Path, memory: Any, cache: Path) -> None:
-    for url in ("memory://dives/dive 1.mcap", "memory://dives/none.mcap", "unknown://x"):
-        with pytest.raises(LogError, match=r"the SHA-256 of what was sent|cannot be fetched") as raised:
-            find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"')])
-        assert raised.value.exit_code == 3
-    assert not [path for path in cache.rglob("*") if path.is_file()]
-
-
-class Server(BaseHTTPRequestHandler):
-    """Says how long a log is, sends a part of it, and drops the connection; counts what it is asked for."""
-
-    def __init__(self, sent: bytes, asked: list[str], *arguments: Any) -> None:
-        self.sent, self.asked = sent, asked
-        super().__init__(*arguments)
-
-    def do_HEAD(self) -> None:
-        self.asked.append(self.command)
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(LOG)))
-        self.end_headers()
-
-    def do_GET(self) -> None:
-        self.do_HEAD()
-        self.wfile.write(self.sent)
-
-    def log_message(self, *_: Any) -> None:
-        pass
-
-
-@contextmanager
-def served(sent: bytes) -> Iterator[tuple[str, list[str]]]:
-    """Yield the URL of a log, and what its server was asked for."""
-    asked: list[str] = []
-    with HTTPServer(("127.0.0.1", 0), partial(Server, sent, asked)) as server:
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_port}/dive.mcap", asked
-        server.shutdown()
-        thread.join()
-
-
-def test_a_server_is_asked_once_for_a_log(tmp_path: Path) -> None:
-    with served(LOG) as (url, asked):
-        listed = manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')
-        (path,) = find_dives([listed])
-        assert path.read_bytes() == LOG
-        assert asked.count("GET") == 1
-        asked.clear()
-        assert find_dives([listed]) == [path]
-        assert not asked
-
-
-def test_a_server_that_lies_about_the_length_is_refused(tmp_path: Path, cache: Path) -> None:
-    with served(LOG[:5000]) as (url, _), pytest.raises(LogError, match=r"SHA-256 of what was sent|cannot be fetched"):
-        find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')])
-    assert not [path for path in cache.rglob("*") if path.is_file()]
+def test_settings_that_are_not_there_end_with_2(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(LOG)
+    listed = manifest(tmp_path, 'path = "a.mcap"\nsettings = "none.toml"')
+    assert run_command_line(["run", listed, "-o", str(tmp_path / "out")]) == 2

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from insdvl_replay.batch.dive_paths import FoundDive
 from insdvl_replay.batch.jobs import ReplayOptions, plan_jobs, replay_into
 from insdvl_replay.cli.screen import REPLAY, Meter, Plan, progress
 from insdvl_replay.core.config_file import load_config
@@ -25,7 +26,7 @@ STAGES = [
 
 def test_a_replay_reports_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
-    [task] = plan_jobs([tmp_path / "dive.mcap"], tmp_path / "out", ReplayOptions(load_config()))
+    [task] = plan_jobs([FoundDive(tmp_path / "dive.mcap")], tmp_path / "out", ReplayOptions(load_config()))
     told: list[str] = []
     with progress_listener(lambda stage, *_: told.append(stage)):
         replay_into(task)

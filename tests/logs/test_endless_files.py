@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.dive_paths import find_dives, usable_paths
 from insdvl_replay.changes.gate_file import load_gates
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError, LogError
@@ -32,13 +32,13 @@ def test_a_folder_that_links_to_itself_is_walked_once(tmp_path: Path) -> None:
     (tmp_path / "below" / "other.mcap").touch()
     for name in ("a", "b", "below/c"):
         (tmp_path / name).symlink_to(tmp_path)
-    found = find_dives([str(tmp_path)])
+    found = usable_paths(find_dives([str(tmp_path)]))
     assert found == [tmp_path / "below" / "other.mcap", tmp_path / "dive.mcap"]
 
 
 def test_a_log_that_links_to_itself_is_reported_as_one_that_cannot_be_read(tmp_path: Path) -> None:
     (tmp_path / "dive.mcap").symlink_to("dive.mcap")
-    (found,) = find_dives([str(tmp_path / "dive.mcap")])
+    (found,) = usable_paths(find_dives([str(tmp_path / "dive.mcap")]))
     with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):
         open_recording(found)
     with pytest.raises(LogError, match="cannot be read: Too many levels of symbolic links"):

@@ -7,6 +7,7 @@ summary at the end must agree with the whole. Source: the MCAP specification, ht
 
 import struct
 from collections import Counter
+from collections.abc import Mapping
 from io import BytesIO
 from itertools import pairwise
 from typing import Any, Final
@@ -154,6 +155,27 @@ def next_record(file: FileBytes, place: int, end: int) -> int:
     return end
 
 
+def log_channels(
+    channels: Mapping[int, records.Channel], schemas: Mapping[int, records.Schema], counts: Mapping[int, int]
+) -> tuple[LogChannel, ...]:
+    """Return the channels of a file with their types and numbers of messages."""
+    no_schema = records.Schema(id=0, name="", encoding="", data=b"")
+    return tuple(
+        LogChannel(
+            id=channel.id,
+            topic=channel.topic,
+            type_name=schema.name,
+            encoding=channel.message_encoding,
+            schema_encoding=schema.encoding,
+            messages=counts.get(channel.id, 0),
+            schema_data=schema.data,
+            metadata=channel.metadata,
+        )
+        for channel in channels.values()
+        for schema in [schemas.get(channel.schema_id) or no_schema]
+    )
+
+
 class McapFile(ChunkedFile):
     """An MCAP file, open for reading."""
 
@@ -182,20 +204,7 @@ class McapFile(ChunkedFile):
         compressed = [chunk.compression or "none" for chunk in self._chunks if not chunk.is_loose]
         self.chunk_count, self.compression = len(compressed), tuple(sorted(set(compressed)))
         counts = self._counts()
-        self.channels = tuple(
-            LogChannel(
-                id=channel.id,
-                topic=channel.topic,
-                type_name=schema.name,
-                encoding=channel.message_encoding,
-                schema_encoding=schema.encoding,
-                messages=counts[channel.id],
-                schema_data=schema.data,
-                metadata=channel.metadata,
-            )
-            for channel in self._channels.values()
-            for schema in [self.schemas.get(channel.schema_id) or records.Schema(id=0, name="", encoding="", data=b"")]
-        )
+        self.channels = log_channels(self._channels, self.schemas, counts)
 
     # --- What the file holds.
 

@@ -1,0 +1,267 @@
+"""Remote logs: fetched once and kept by their digest, or looked at by the summary at their end.
+
+A server is asked once whether a log that is kept is still the one it has. What it sends is kept only if all of it came,
+nothing changed meanwhile, and the digest is the one that is wanted.
+"""
+
+import hashlib
+import json
+import os
+import re
+import struct
+from collections import defaultdict
+from contextlib import contextmanager
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import unquote, urlsplit
+
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from zlib_ng import zlib_ng
+
+from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.logs.formats.log_file import LogChannel
+from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE, MAGIC, log_channels, walk
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+STALLED_S: float = 60.0  # without a byte from the server
+_CHECK: Final = "check the URL and the connection"
+_FETCH: Final = "fetch it with `insdvl-replay run URL`"
+_STATE: Final = ("size", "ETag", "Last-Modified", "LastModified")  # that a server says of a log, on the web and in S3
+_FIRST_TAIL: Final = 128 << 10  # bytes of a log's end that are asked for first
+_LONGEST_TAIL: Final = 512 << 10
+_FOOTER: Final = struct.Struct("<QQI")
+_ESSENTIAL: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
+_RECORDS: Final[dict[int, Any]] = {
+    Opcode.SCHEMA: records.Schema,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.STATISTICS: records.Statistics,
+    Opcode.CHUNK_INDEX: records.ChunkIndex,
+    Opcode.METADATA_INDEX: records.MetadataIndex,
+    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
+    Opcode.SUMMARY_OFFSET: records.SummaryOffset,
+}
+
+
+def remote_name(url: str) -> Path:
+    """Return the name of the file that a URL is of."""
+    return Path(Path(unquote(urlsplit(url).path)).name or "dive.mcap")
+
+
+def cache_folder() -> Path:
+    """Return the folder of logs that were fetched, and of what their servers said of them."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "insdvl-replay"
+
+
+def fetched(url: str, sha256: str = "") -> Path:
+    """Return a remote log from the cache, after fetching it if it is not there or has changed.
+
+    A log whose digest is known is used from the cache where its server cannot be asked.
+
+    Raises
+    ------
+    LogError
+        The log cannot be fetched whole, changes meanwhile, or has another digest.
+    """
+    said = cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
+    try:
+        known = json.loads(said.read_bytes())
+    except (OSError, ValueError):
+        known = {}
+    name = remote_name(url)
+    kept = cache_folder() / "logs" / (sha256 or str(known.get("sha256"))) / name
+    is_kept = kept.is_file() and file_digest(kept) == kept.parent.name
+    system, path = _file_system(url)
+    try:
+        with _refused(url):
+            state = _state(system, path)
+    except LogError:
+        if is_kept and sha256:
+            return kept
+        raise
+    is_same = known.get("state") == state and known.get("sha256") == kept.parent.name
+    if is_kept and is_same and (sha256 or len(state) > 1):  # a size alone shows no change
+        return kept
+    logs = cache_folder() / "logs"
+    logs.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=logs, prefix=".part") as folder:
+        part = Path(folder) / name
+        with _refused(url):
+            system.get_file(path, str(part))
+            after = _state(system, path)
+        size = part.stat().st_size
+        if after != state:
+            raise LogError("changed on its server while it was fetched; nothing was kept", "fetch it again", url)
+        if size != state.get("size", size):
+            text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
+            raise LogError(text, _CHECK, url)
+        digest = file_digest(part)
+        if digest != (sha256 or digest):
+            hint = "ask who offers it; nothing was kept"
+            raise LogError(f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}", hint, url)
+        kept = logs / digest / name
+        kept.parent.mkdir(exist_ok=True)
+        part.replace(kept)
+        said.parent.mkdir(exist_ok=True)
+        part.write_text(json.dumps({"url": url, "sha256": digest, "state": state}))
+        part.replace(said)
+    return kept
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _file_system(url: str) -> tuple[Any, str]:
+    """Return the file system of a URL, and the path in it."""
+    options: dict[str, Any] = {}
+    try:
+        import fsspec
+
+        if urlsplit(url).scheme in ("http", "https"):
+            import aiohttp
+
+            timeout = aiohttp.ClientTimeout(total=None, sock_connect=STALLED_S, sock_read=STALLED_S)
+            options["client_kwargs"] = {"timeout": timeout}
+        with _refused(url):
+            system, path = fsspec.core.url_to_fs(url, skip_instance_cache=True, **options)
+    except ImportError as error:
+        raise ConfigError(f"{url}: {error}", "pip install 'insdvl-replay[remote]'") from error
+    return system, path
+
+
+def _state(system: Any, path: str) -> dict[str, str | int]:
+    """Return what a server says of a log now, by one request."""
+    system.invalidate_cache()
+    found = system.info(path)
+    return {key: found[key] if key == "size" else str(found[key]) for key in _STATE if found.get(key) is not None}
+
+
+@contextmanager
+def _refused(url: str) -> "Iterator[None]":
+    """Turn whatever a library makes of a server into a LogError."""
+    try:
+        yield
+    except (LogError, ImportError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise LogError(f"cannot be fetched: {reason}", _CHECK, url) from error
+
+
+# --- The summary at the end of a log.
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """What the end of an MCAP file says of the whole."""
+
+    size_bytes: int
+    channels: tuple[LogChannel, ...]
+    statistics: records.Statistics
+    chunks: tuple[records.ChunkIndex, ...]
+    metadata: tuple[str, ...]  # names
+    attachments: tuple[str, ...]  # names
+
+
+def read_summary(url: str) -> LogSummary:
+    """Read the summary of a remote MCAP file, by at most two requests for ranges of bytes, 512 KiB together.
+
+    Of a longer summary, the indexes of chunks are left out.
+
+    Raises
+    ------
+    LogError
+        The server sends no ranges or other bytes than it says, or the file has no summary that can be used.
+    """
+    tail, size = _tail(url, _FIRST_TAIL)
+    tail_start, footer = size - len(tail), len(tail) - len(MAGIC) - _FOOTER.size
+    if footer < HEADER_SIZE or not tail.endswith(MAGIC):
+        raise LogError("does not end as an MCAP file; only the summary of these is read from a server", _FETCH, url)
+    start, offsets_start, crc = _FOOTER.unpack_from(tail, footer)
+    end = tail_start + footer - HEADER_SIZE
+    if not 0 < start <= end:
+        raise LogError("has no summary", _FETCH, url)
+    if start >= tail_start:
+        summary = tail[start - tail_start :]
+    elif tail_start - start <= _LONGEST_TAIL - len(tail):
+        summary = _part(url, start, tail_start, size) + tail
+    else:
+        offsets = _records(url, tail[max(offsets_start - tail_start, 0) : footer - HEADER_SIZE])
+        groups = [group for group in offsets[Opcode.SUMMARY_OFFSET] if group.group_opcode in _ESSENTIAL]
+        start = min((group.group_start for group in groups), default=0)
+        end = max((group.group_start + group.group_length for group in groups), default=size)
+        if end - start > _LONGEST_TAIL - len(tail):
+            raise LogError(f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}", _FETCH, url)
+        summary, crc = _part(url, start, end, size), 0
+    if crc and zlib_ng.crc32(summary[: -len(MAGIC) - 4]) != crc:
+        raise LogError("the checksum of the summary is wrong", _FETCH, url)
+    found = _records(url, summary[: end - start])
+    schemas = {schema.id: schema for schema in found[Opcode.SCHEMA]}
+    channels = {channel.id: channel for channel in found[Opcode.CHANNEL]}
+    if not (found[Opcode.STATISTICS] and channels):
+        raise LogError("its summary does not name the channels and their messages", _FETCH, url)
+    (statistics, *_) = found[Opcode.STATISTICS]
+    return LogSummary(
+        size,
+        log_channels(channels, schemas, statistics.channel_message_counts),
+        statistics,
+        tuple(found[Opcode.CHUNK_INDEX]),
+        tuple(record.name for record in found[Opcode.METADATA_INDEX]),
+        tuple(record.name for record in found[Opcode.ATTACHMENT_INDEX]),
+    )
+
+
+def _records(url: str, content: bytes) -> "defaultdict[int, list[Any]]":
+    """Read the records of a summary, by their kind."""
+    found = defaultdict[int, list[Any]](list)
+    try:
+        heads, _, _, is_broken = walk(memoryview(content), len(content))
+        for kind, start, length in heads.tolist():
+            if kind in _RECORDS:
+                stream = BytesIO(content[start + HEADER_SIZE : start + HEADER_SIZE + length])
+                found[kind].append(_RECORDS[kind].read(ReadDataStream(stream)))
+    except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:
+        raise LogError(f"its summary cannot be read: {error}", _FETCH, url) from error
+    if is_broken:
+        raise LogError("its summary cannot be read: there are bytes that are no record", _FETCH, url)
+    return found
+
+
+def _part(url: str, start: int, end: int, size: int) -> bytes:
+    """Read a range of a file that had a size before."""
+    content, now = _tail(url, end - start, end)
+    if now != size:
+        raise LogError("changed on its server while it was read", "try again", url)
+    return content
+
+
+def _tail(url: str, count: int, end: int | None = None) -> tuple[bytes, int]:
+    """Ask for so many bytes before a place or before the end of a remote file; return them and the file's size."""
+    if urlsplit(url).scheme not in ("http", "https"):
+        system, path = _file_system(url)
+        with _refused(url):
+            size = int(system.info(path)["size"])
+            stop = size if end is None else end
+            return bytes(system.cat_file(path, start=max(stop - count, 0), end=stop)), size
+    from urllib.request import Request, urlopen
+
+    wanted = f"bytes=-{count}" if end is None else f"bytes={end - count}-{end - 1}"
+    request = Request(url, headers={"Range": wanted, "Accept-Encoding": "identity"})
+    with _refused(url), urlopen(request, timeout=STALLED_S) as answer:  # the scheme is known
+        if answer.status != 206:  # a part of the content; a server without ranges sends all
+            raise LogError("its server does not send parts of files", _FETCH, url)
+        first, last, size = map(int, re.findall(r"\d+", str(answer.headers["Content-Range"])))
+        content = answer.read(count + 1)
+        if not len(content) == last - first + 1 <= count or last + 1 != (end or size):
+            raise LogError("its server sent other bytes than those asked for", _CHECK, url)
+        return content, size

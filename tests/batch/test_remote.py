@@ -1,0 +1,266 @@
+"""Remote logs: fetched once, kept by their digest, looked at by ranges; servers that misbehave are refused."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import pytest
+from mcap.writer import Writer
+from remote_server import LogServer, served
+from small_logs import simulated, written
+
+from insdvl_replay.batch.dive_paths import find_dives, usable_paths
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.errors import LogError, UserError
+from insdvl_replay.inspection.survey import inspect_log, inspect_summary
+from insdvl_replay.logs.formats import remote
+from insdvl_replay.logs.formats.remote import cache_folder, fetched
+
+LOG, OTHER = simulated(), written()
+SHA256 = hashlib.sha256(LOG).hexdigest()
+WRONG = "0" * 64
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def server() -> Iterator[LogServer]:
+    with served({"/dive.mcap": LOG}) as told:
+        yield told
+
+
+def manifest(folder: Path, *dives: str) -> str:
+    path = folder / "dives.toml"
+    path.write_text("".join(f"[[dive]]\n{dive}\n" for dive in dives))
+    return str(path)
+
+
+def kept(cache: Path) -> list[Path]:
+    return [path for path in cache.rglob("*") if path.is_file()]
+
+
+def test_a_log_is_fetched_once_and_asked_for_once(server: LogServer) -> None:
+    url = f"{server.url}/dive.mcap"
+    path = fetched(url, SHA256)
+    assert path == cache_folder() / "logs" / SHA256 / "dive.mcap"
+    assert path.read_bytes() == LOG
+    assert server.asked.count("GET") == 1
+    for sha256 in (SHA256, ""):
+        server.asked.clear()
+        assert fetched(url, sha256) == path
+        assert server.asked == ["HEAD"]
+
+
+def test_a_log_that_changed_is_fetched_again_and_refused_if_its_digest_is_known(server: LogServer) -> None:
+    url = f"{server.url}/dive.mcap"
+    fetched(url)
+    server.logs["/dive.mcap"] = OTHER
+    assert fetched(url).read_bytes() == OTHER
+    with pytest.raises(LogError, match="the SHA-256 of what was sent is"):
+        fetched(url, SHA256)
+
+
+def test_a_server_that_says_nothing_of_changes_is_asked_for_the_log_each_time(server: LogServer) -> None:
+    server.has_tags = False
+    for _ in range(2):
+        fetched(f"{server.url}/dive.mcap")
+    assert server.asked.count("GET") == 2
+
+
+def test_without_its_server_a_kept_log_is_used_if_its_digest_is_known(server: LogServer) -> None:
+    url = f"{server.url}/dive.mcap"
+    path = fetched(url, SHA256)
+    server.logs.clear()
+    assert fetched(url, SHA256) == path
+    with pytest.raises(LogError, match="cannot be fetched"):
+        fetched(url)
+    path.write_bytes(LOG[:-1])  # a disk that lost bytes
+    with pytest.raises(LogError, match="cannot be fetched"):
+        fetched(url, SHA256)
+
+
+@pytest.mark.parametrize(
+    ("fault", "sha256"),
+    [
+        ({"cut": 5000}, ""),
+        ({"cut": 5000}, SHA256),
+        ({"announced": len(LOG) + 100}, ""),
+        ({"announced": len(LOG) + 100}, SHA256),
+        ({"announced": len(LOG) - 100}, SHA256),  # always announced and sent, it is another log
+        ({"stalls": True}, ""),
+        ({"stalls": True}, SHA256),
+        ({"changes": True}, ""),
+        ({"changes": True}, SHA256),
+    ],
+)
+def test_nothing_is_kept_of_a_server_that_misbehaves(
+    server: LogServer, cache: Path, monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any], sha256: str
+) -> None:
+    monkeypatch.setattr(remote, "STALLED_S", 0.3)
+    for name, value in fault.items():
+        setattr(server, name, value)
+    with pytest.raises(LogError) as raised:
+        fetched(f"{server.url}/dive.mcap", sha256)
+    assert raised.value.exit_code == 3
+    assert not kept(cache)
+
+
+@pytest.mark.parametrize("url", ["memory://dives/none.mcap", "unknown://x", "http://127.0.0.1:9/x.mcap"])
+def test_what_cannot_be_fetched_is_an_error_of_that_dive(tmp_path: Path, cache: Path, url: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(LOG)
+    first, second = find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"', 'path = "a.mcap"'), url])[:2]
+    assert isinstance(first.error, UserError)
+    assert first.error.exit_code == 3
+    assert second.error is None
+    assert not kept(cache)
+
+
+def test_a_url_is_a_dive(server: LogServer, tmp_path: Path) -> None:
+    assert run_command_line(["run", f"{server.url}/dive.mcap", "--starts", "1", "-o", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "dive" / "report.json").is_file()
+
+
+def test_a_second_check_asks_once_for_each_dive_and_reads_no_log(tmp_path: Path) -> None:
+    with served({f"/dive_{number}.mcap": LOG for number in range(20)}) as server:
+        lines = [f'url = "{server.url}{path}"\nsha256 = "{SHA256}"' for path in server.logs]
+        manifest(tmp_path, *lines)
+        gates = tmp_path / "gates.toml"
+        gates.write_text(
+            'dives = ["dives.toml"]\n[[gate]]\nname = "calm"\ntable = "consistency"\ncolumn = "mean_nis"\nmax = 9\n'
+        )
+        # One log under 20 names; the settings are those of one quick replay.
+        command = ["check", str(gates), "--results", str(tmp_path / "out"), "--set", "evaluation.starts=1"]
+        first = run_command_line(command)
+        assert server.asked.count("GET") == 20
+        server.asked.clear()
+        server.sent = 0
+        assert run_command_line(command) == first
+        assert server.asked == ["HEAD"] * 20
+        assert server.sent == 0
+
+
+# --- Inspection by ranges
+
+
+def test_inspection_reads_the_summary_alone(
+    server: LogServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "dive.mcap").write_bytes(b"another dive of this name")
+    monkeypatch.chdir(tmp_path)
+    assert run_command_line(["inspect", f"{server.url}/dive.mcap"]) == 0
+    assert "has what a replay needs by its summary" in capsys.readouterr().out
+    assert server.asked == ["GET"]
+
+
+def test_a_summary_tells_what_the_log_tells(server: LogServer, tmp_path: Path) -> None:
+    path = tmp_path / "dive.mcap"
+    path.write_bytes(LOG)
+    ours, whole = inspect_summary(f"{server.url}/dive.mcap", Config()), inspect_log(path, Config())
+    assert ours.log.messages == whole.log.messages
+    assert ours.log.start_utc == whole.log.start_utc
+    assert ours.log.duration_s == pytest.approx(whole.log.duration_s)
+    assert ours.roles == whole.roles
+    assert ours.conventions == whole.conventions
+    for mine, other in zip(ours.topics, whole.topics, strict=True):
+        assert (mine.topic, mine.role, mine.messages) == (other.topic, other.role, other.messages)
+        assert mine.rate_hz == pytest.approx(other.rate_hz, rel=0.06)  # over whole chunks
+
+
+def long_log(hours: float, chunk_s: float) -> bytes:
+    """Write a log with the chunks and 12 channels of a long dive, and short messages."""
+    stream, period_ns = BytesIO(), int(chunk_s * 1e9)
+    writer = Writer(stream, chunk_size=600)
+    writer.start()
+    schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"float64 x")
+    ids = [writer.register_channel(f"/topic_{number}", "cdr", schema) for number in range(12)]
+    for time_ns in range(0, int(hours * 3600e9), period_ns):
+        for id_ in ids:
+            writer.add_message(id_, time_ns, b"x" * 20, time_ns)
+    writer.finish()
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("chunk_s", [20.0, 2.0], ids=["1 MB of sensors", "1 MB with a camera"])
+def test_a_log_of_six_hours_takes_two_requests_and_512_kib(chunk_s: float) -> None:
+    with served({"/long.mcap": long_log(6.0, chunk_s)}) as server:
+        found = inspect_summary(f"{server.url}/long.mcap", Config())
+        assert len(found.topics) == 12
+        assert found.log.duration_s == pytest.approx(6 * 3600 - chunk_s)
+        assert found.topics[0].rate_hz == pytest.approx(1.0 / chunk_s)
+        assert len(server.asked) == 2
+        assert server.sent <= 512 << 10
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        ({"has_ranges": False}, "does not send parts"),
+        ({"flips": True}, "checksum of the summary"),
+        ({"stalls": True}, "cannot be fetched"),
+        ({"cut": 100}, "other bytes|cannot be fetched"),
+        ({"announced": 100}, "other bytes"),
+    ],
+)
+def test_a_summary_that_cannot_be_trusted_is_refused(
+    server: LogServer, monkeypatch: pytest.MonkeyPatch, fault: dict[str, Any], said: str
+) -> None:
+    monkeypatch.setattr(remote, "STALLED_S", 0.3)
+    for name, value in fault.items():
+        setattr(server, name, value)
+    with pytest.raises(LogError, match=said):
+        inspect_summary(f"{server.url}/dive.mcap", Config())
+
+
+@pytest.mark.parametrize(("content", "said"), [(b"x" * 5000, "does not end as an MCAP file"), (b"x", "does not end")])
+def test_other_files_have_no_summary(server: LogServer, content: bytes, said: str) -> None:
+    server.logs["/dive.mcap"] = content
+    with pytest.raises(LogError, match=said):
+        inspect_summary(f"{server.url}/dive.mcap", Config())
+
+
+# --- A real S3 service
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A bucket of a server that speaks the protocol of S3."""
+    moto = pytest.importorskip("moto.server")
+    pytest.importorskip("s3fs")
+    service = moto.ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    service.start()
+    host, port = service.get_host_and_port()
+    for key, value in {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ACCESS_KEY_ID": "anybody",
+        "AWS_SECRET_ACCESS_KEY": "anything",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }.items():
+        monkeypatch.setenv(key, value)
+    system = fsspec.filesystem("s3", skip_instance_cache=True)
+    system.mkdir("dives")
+    yield system
+    service.stop()
+
+
+def test_logs_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:
+    bucket.pipe("dives/dive.mcap", LOG)
+    url = "s3://dives/dive.mcap"
+    assert usable_paths(find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')]))[0].read_bytes() == LOG
+    assert fetched(url) == fetched(url, SHA256)
+    assert len(json.loads(next(cache.rglob("urls/*.json")).read_bytes())["state"]) > 1
+    assert [role.topic for role in inspect_summary(url, Config()).roles if role.role == "dvl"] == ["/dvl"]
+    bucket.pipe("dives/dive.mcap", OTHER)
+    assert fetched(url).read_bytes() == OTHER
+    with pytest.raises(LogError, match="the SHA-256 of what was sent is"):
+        fetched(url, SHA256)
+    with pytest.raises(LogError, match="cannot be fetched"):
+        fetched("s3://dives/none.mcap")
