@@ -217,7 +217,7 @@ class ReadDive:
 
 
 def read_dive(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> ReadDive:
-    """Read a dive and check it, as `reading.read_checked_dive` does."""
+    """Read a dive and check it, as `prepared.read_checked_dive` does."""
     dive = read_checked_dive(path, config.without_solutions(), allow_damaged=allow_damaged)
     return ReadDive(with_reference_at_imu(dive, config), config, dive.reference)
 

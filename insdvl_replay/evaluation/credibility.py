@@ -56,7 +56,7 @@ class StateErrors:
 
     filter: str
     time_ns: TimeNs  # (k,), at which the history holds P
-    error: Floats  # (k, n), SI units, see `errors.errors_at`; NaN where neither reference nor truth has them
+    error: Floats  # (k, n), SI units, see `reference_errors.errors_at`; NaN where neither reference nor truth has them
     cov: Floats  # (k, n, n), P
     heading: Floats  # (k,), of the reference, rad
     has_sd: NDArray[np.bool_]  # (n,), states for which the filter has a standard deviation
