@@ -261,5 +261,6 @@ def outage_alarm(rows: Sequence[OutageRow], names: Collection[str]) -> str:
     window_s, _ = max(excess, key=excess.__getitem__, default=("", ""))
     if not window_s or max(excess.values()) <= 1.0:
         return ""
-    sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in rows if row.window_s == window_s and row.filter in names]
+    known = [row for row in rows if row.window_s == window_s and row.filter in names and row.nis_per_dof is not None]
+    sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in known]
     return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1. Raise [noise]."

@@ -218,6 +218,8 @@ def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
     assert outage_alarm(rows, ("baseline", "aided")) == said
     assert not outage_alarm(rows, ("baseline",))
     assert not outage_alarm([replace(row, nis_per_dof=None) for row in rows], ("baseline", "aided"))
+    unknown = [replace(row, nis_per_dof=None) if row.filter == "baseline" else row for row in rows]
+    assert outage_alarm(unknown, ("baseline", "aided")) == said.replace("baseline 1.12, ", "")
 
 
 def test_filters_are_paired_by_window() -> None:
