@@ -2,7 +2,7 @@
 
 N. Cohen and I. Klein, "BeamsNet: A data-driven approach enhancing Doppler velocity log measurements for autonomous
 underwater vehicle navigation", 2022. The weights that the authors publish are named in ``BEAMSNET_WEIGHTS``. The file
-is a zip of numbers, which needs neither torch nor pickle.
+is a zip of numbers, which needs neither torch nor pickle. ``BEAMSNET_ARM_M`` is the lever arm of the vehicle.
 """
 
 import os
@@ -13,7 +13,7 @@ import numpy as np
 from insdvl_replay import UserMeasurement, UserReadings
 
 SD_MPS = 0.03
-ARM_X, ARM_Y, ARM_Z = 0.0, 0.0, 0.0  # IMU to DVL, m: that of your vehicle
+ARM_X, ARM_Y, ARM_Z = map(float, os.environ.get("BEAMSNET_ARM_M", "0,0,0").split(","))  # IMU to DVL, of your vehicle
 SHAPES = ((6, 3, 2), (6,), (16, 18), (16,), (2, 16), (2,), (3, 6), (3,))
 YAW, TILT = np.deg2rad([45.0, 135.0, 225.0, 315.0]), np.deg2rad(20.0)
 BEAMS = np.column_stack([np.cos(YAW) * np.sin(TILT), np.sin(YAW) * np.sin(TILT), np.full(4, np.cos(TILT))])
@@ -44,6 +44,8 @@ class BeamsNet(UserMeasurement):
 
     def readings(self, dive):
         """Return a velocity for each ping with four beams, and with three such pings before it."""
+        if dive.dvl.beam_velocity_mps is None:
+            raise ValueError("the DVL has no single beams")
         weights = load_weights(os.environ["BEAMSNET_WEIGHTS"])
         whole = np.isfinite(dive.dvl.beam_velocity_mps).all(axis=1)
         time_ns, measured = dive.dvl.time_ns[whole], dive.dvl.beam_velocity_mps[whole]
