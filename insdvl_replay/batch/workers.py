@@ -110,6 +110,12 @@ def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[
     """Start processes; an exception, an interruption included, ends them with what they do."""
     executor = ProcessPoolExecutor(1 if alone else jobs, multiprocessing.get_context("spawn"), _begin)
     before = set(multiprocessing.active_children())
+    # When a worker dies, two threads of the pool may close one pipe. The second would print a traceback.
+    queue: Any = vars(executor)["_call_queue"]
+    report = queue._on_queue_feeder_error
+    queue._on_queue_feeder_error = lambda error, item: (
+        None if isinstance(error, OSError) and not hasattr(item, "work_id") else report(error, item)
+    )
     try:
         in_flight = 1 if alone or jobs == 1 else 2 * jobs
         yield lambda work, item: executor.submit(_do, work, item), in_flight, lambda: False

@@ -5,9 +5,10 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -118,3 +119,25 @@ def test_a_worker_answers_only_for_the_bytes_that_are_meant(
     assert isinstance(outcome.result, LogError)
     assert "SHA-256" in outcome.result.message
     assert not (tmp_path / "out").exists()
+
+
+def test_a_pipe_that_was_closed_already_prints_no_traceback(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[ProcessPoolExecutor] = []
+
+    class Recorded(ProcessPoolExecutor):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            opened.append(self)
+
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", Recorded)
+    with workers._processes(1, alone=False):
+        report = vars(opened[0])["_call_queue"]._on_queue_feeder_error
+        report(OSError(9, "Bad file descriptor"), object())
+        assert not capfd.readouterr().err
+        try:
+            raise ValueError("another error")
+        except ValueError as error:
+            report(error, object())
+        assert "another error" in capfd.readouterr().err
