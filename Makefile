@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constr
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -129,6 +129,10 @@ reference: .venv/run.stamp
 DIVES ?= ../shared/data/snapir
 reproduce: .venv/run.stamp
 	$(BIN)/python docs/generate/reproduction.py $(DIVES)
+
+# Candidates of benchmarks/public on the public dives; only what is new is replayed.
+benchmark: .venv/run.stamp
+	$(BIN)/python docs/generate/benchmark.py
 
 # How the DVLs of the three examples are built in, found from nothing; git tells what moved. The examples have these values: copy what
 # moved. Dives 09 and 11 of the Snapir, whose DVL is noisy, are left out, and confirm it. Needs the logs of ../shared/data, or of DATA.

@@ -1,0 +1,165 @@
+"""docs/benchmark.md is what the program finds on the public dives."""
+
+import hashlib
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import benchmark
+import pytest
+
+from insdvl_replay import read_result
+from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.result import Report
+from insdvl_replay.logs import write_dive
+from insdvl_replay.results.stored_results import read_one_result
+from insdvl_replay.sim.dive import simulate_dive
+
+pytestmark = pytest.mark.all_starts
+PLACE = benchmark.Place()
+VELOCITY = 'aiding = ["velocity"]'
+ACCELERATION = 'aiding = ["velocity", "acceleration"]\nacceleration = { model = "MODEL", window = 3, sd_mps2 = 0.103 }'
+NOISE = "[noise]\naccel_white_mps_rts = 0.005\ngyro_white_rad_rts = 1.2e-6\n[initial]\naccel_bias_sd_mg = 0.1\n"
+CANDIDATES = {
+    "published": ACCELERATION.replace("MODEL", "published"),
+    "windowed": ACCELERATION.replace("MODEL", "windowed"),
+    "with_depth": 'aiding = ["velocity", "depth"]',
+    "planted_copy": VELOCITY,
+    "planted_worse": f"{VELOCITY}\nvelocity_sd_mps = 5.0",
+}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> benchmark.Place:
+    """A benchmark of two simulated dives in two data sets; a third dive is nowhere."""
+    folder = tmp_path_factory.mktemp("benchmark")
+    place = benchmark.Place(folder / "public", folder / "build", folder / "data")
+    for part in (place.public / "candidates", place.public / "settings", place.data):
+        part.mkdir(parents=True)
+    entries = []
+    for seed, name in enumerate(("one", "two")):
+        write_dive(place.data / f"{name}.mcap", simulate_dive("figure-eight", seed=seed, duration_s=60.0))
+        entries.append((hashlib.sha256((place.data / f"{name}.mcap").read_bytes()).hexdigest(), f"set_{name}", name))
+    entries.append(("0" * 64, "set_two", "three"))
+    place.manifest.write_text(
+        "".join(
+            f'[[dive]]\npath = "{name}.mcap"\nsha256 = "{digest}"\nlicence = "none"\nfaults = "none"\n'
+            f'settings = "settings/vehicle.toml"\ntags = ["{data_set}", "{name}"]\n'
+            for digest, data_set, name in entries
+        )
+    )
+    (place.public / "settings" / "vehicle.toml").write_text(f"{NOISE}\n[filters.baseline]\n{VELOCITY}\n")
+    for name, text in CANDIDATES.items():
+        (place.public / "candidates" / f"{name}.toml").write_text(f"[filters.{name}]\n{text}\n")
+    return place
+
+
+@pytest.fixture(scope="module")
+def cells(place: benchmark.Place) -> list[benchmark.Cell]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(benchmark, "JOBS", 1)
+        return benchmark.build(place)
+
+
+def page_of(cells: list[benchmark.Cell], place: benchmark.Place) -> str:
+    return benchmark.written(benchmark.PAGE.read_text("utf-8"), cells, place.dives)
+
+
+def rows_of(page: str) -> list[list[str]]:
+    """The rows of all cells, as lists of texts."""
+    lines = [line.strip("| ").split(" | ") for line in page.splitlines() if "`insdvl-replay run" in line]
+    return [[text.strip() for text in line] for line in lines]
+
+
+def test_rows_are_those_of_the_results(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
+    evidence = read_result(place.build / "planted_worse" / "set_one" / "one").tables["evidence"]
+    (cell,) = (cell for cell in cells if (cell.candidate, cell.data_set) == ("planted_worse", "set_one"))
+    row = evidence[evidence["quantity"] == cell.rows[0].quantity].iloc[0]
+    shown = next(
+        row
+        for row in rows_of(page_of(cells, place))
+        if "-c candidates/planted_worse.toml" in row[-1] and "#set_one" in row[-1]
+    )
+    assert float(shown[2]) == pytest.approx(row["ratio"], rel=0.01)
+    assert shown[4:6] == ["1 dive", row["verdict"]]
+    assert shown[-2] == f"`{cell.digest}`"
+
+
+def test_a_second_build_replays_nothing_and_gives_the_same_bytes(
+    cells: list[benchmark.Cell], place: benchmark.Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(benchmark, "JOBS", 1)
+    written = {file: file.stat().st_mtime_ns for file in place.build.rglob("report.json")}
+    again = benchmark.build(place)
+    assert len(written) == 8
+    assert {file: file.stat().st_mtime_ns for file in written} == written
+    assert page_of(again, place) == page_of(cells, place)
+    assert benchmark.picture(benchmark.by_data_set(again)) == benchmark.picture(benchmark.by_data_set(cells))
+    assert str(place.build.parent) not in page_of(cells, place)
+
+
+def test_the_command_of_a_cell_repeats_it(
+    cells: list[benchmark.Cell], place: benchmark.Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (cell,) = (cell for cell in cells if (cell.candidate, cell.data_set) == ("windowed", "set_one"))
+    shutil.copy(place.data / "one.mcap", place.public)
+    monkeypatch.chdir(place.public)
+    program, *arguments = cell.command.split()
+    assert program == "insdvl-replay"
+    assert run_command_line([*arguments, "--output", str(place.build.parent / "again"), "--quiet"]) == 0
+    _, report = read_one_result(place.build.parent / "again", Report)
+    again = replace(cell, reports={"one": report})
+    assert (again.digest, again.rows) == (cell.digest, cell.rows)
+
+
+def test_missing_cells_have_a_reason(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
+    page = page_of(cells, place)
+    reasons = [row[-3] for row in rows_of(page) if "missing" in row]
+    assert len(reasons) == 3
+    assert all("depth" in reason for reason in reasons)
+    assert "- `windowed` without three: is not published in this form" in page
+
+
+def test_planted_candidates_come_out_as_they_must(cells: list[benchmark.Cell]) -> None:
+    verdicts = {(cell.candidate, cell.data_set): cell.answer.verdict for cell in cells if cell.answer}
+    assert verdicts["planted_copy", "set_one"] == verdicts["planted_copy", "set_two"] == "equivalent"
+    assert verdicts["planted_worse", "set_one"] == "worse"
+    for ranked in benchmark.by_data_set(cells).values():
+        assert [cell.candidate for cell in ranked if cell.answer][-1] == "planted_worse"
+
+
+# --- What is committed.
+
+
+def test_each_dive_is_named_and_its_settings_and_candidates_are_valid() -> None:
+    for dive in PLACE.dives:
+        assert len(dive["tags"]) == 2
+        assert dive["licence"]
+        assert dive["faults"]
+        assert "path" in dive or re.match(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/", dive["url"])
+        for candidate in sorted((PLACE.public / "candidates").rglob("*.toml")):
+            if candidate.parent.name in ("candidates", dive["tags"][0]):
+                config = load_config(file=[PLACE.public / dive["settings"], candidate], allow_code=True)
+                assert [*config.filters] == ["baseline", candidate.stem]
+
+
+def test_the_page_is_small_and_names_no_machine() -> None:
+    page = benchmark.PAGE.read_bytes() + benchmark.PICTURE.read_bytes()
+    assert len(page) < 200_000
+    assert b"raw.githubusercontent.com" in page
+
+
+@pytest.mark.nightly
+def test_the_page_is_what_the_program_writes(snapir: Path) -> None:
+    if shutil.which("c++") is None:
+        pytest.skip("needs a compiler of C++")
+    assert snapir.parent == PLACE.data
+    benchmark.prepare(PLACE)
+    cells = benchmark.build(PLACE)
+    assert page_of(cells, PLACE) == benchmark.PAGE.read_text("utf-8"), "run `make benchmark`"
+    candidates = benchmark.by_data_set(cell for cell in cells if not cell.is_planted)
+    assert benchmark.picture(candidates) == benchmark.PICTURE.read_bytes(), "run `make benchmark`"
+    for page, link in benchmark.QUOTED.items():
+        assert benchmark.quote(candidates, link) in page.read_text("utf-8"), "run `make benchmark`"
