@@ -32,7 +32,7 @@ from insdvl_replay.core.words import Severity
 Span = tuple[int, int]  # first and last log time, ns
 COPY_AGAIN: Final = "copy the log again from the recorder if it still has it"
 LARGEST_CHUNK: Final = 1 << 30  # bytes to which a chunk may open; recorders write some megabytes
-MOST_OF_A_CUT_CHUNK: Final = 1 << 27  # more of one that lacks its end is not looked at
+MOST_OF_A_CUT_CHUNK: Final = 1 << 26  # more of one that lacks its end is not looked at
 _USUAL_SIZE: Final = 64 << 20
 _MOST_COMPRESSED: Final = 256  # larger chunks are believed only if they are compressed less densely than this
 _SHOWN: Final = 3  # damaged places that a note lists

@@ -69,7 +69,7 @@ class BagFile(ChunkedFile):
 
     profile = "ros1"
     library = "rosbag"
-    usually_opened = 1 << 27
+    usually_opened = 1 << 26
     most_compressed = 64
 
     def __init__(self, file: FileBytes) -> None:
