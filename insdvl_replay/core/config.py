@@ -361,7 +361,7 @@ class Filter(Section, frozen=True):
         tuple[str, ...] | None,
         Comment("your filter: a program and its arguments, with {dive}, {start} and {solution}"),
     ] = None
-    timeout_s: Annotated[Positive | None, Comment("longest time of one run of the program; left out: 600")] = None
+    timeout_s: Annotated[Positive | None, Comment("longest time of one run of your filter; left out: 600")] = None
     input: Annotated[
         Literal["clean", "log"] | None,
         Comment("clean | log: what {dive} of the program holds, clean readings or the vehicle's log; left out: clean"),

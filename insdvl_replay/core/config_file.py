@@ -43,7 +43,11 @@ S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
 # The keys of filters that are not the tool's own, by kind.
-CANDIDATE_KEYS: Final = (("solution",), ("program", "timeout_s", "input", "version"), ("candidate", "version"))
+CANDIDATE_KEYS: Final = (
+    ("solution",),
+    ("program", "timeout_s", "input", "version"),
+    ("candidate", "timeout_s", "version"),
+)
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.

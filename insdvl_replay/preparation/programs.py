@@ -40,6 +40,8 @@ class UserProcesses:
     def __init__(self, settings: Filter, folder: Path) -> None:
         self.settings, self.folder = settings, folder  # the folder is for its files
         self.input = "class" if settings.program is None else settings.input or "clean"
+        self.timeout_s = settings.timeout_s or TIMEOUT_S  # of one run
+        self.too_late = f"did not end within {self.timeout_s:g} s"
         self._running, self._is_stopped = set[Process](), threading.Event()
         self._idle: queue.SimpleQueue[Process] = queue.SimpleQueue()  # of a class, ready for another run
         folder.mkdir()
@@ -55,13 +57,12 @@ class UserProcesses:
         words = list(self.settings.program or ())
         for place, path in {"{dive}": dive_file, "{start}": start_file, "{solution}": solution_file}.items():
             words = [word.replace(place, str(path)) for word in words]
-        timeout_s = self.settings.timeout_s or TIMEOUT_S
         try:
             process = self._started(words, f"{run}: ")
             try:
-                code = process.wait(timeout_s)
+                code = process.wait(self.timeout_s)
             except subprocess.TimeoutExpired as error:
-                raise CandidateError(f"did not end within {timeout_s:g} s") from error
+                raise CandidateError(self.too_late) from error
             finally:
                 self._end(process)
             if code:
@@ -86,14 +87,22 @@ class UserProcesses:
             process = self._started(command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path})
         assert process.stdin is not None
         assert process.stdout is not None
+        began_s, limit = time.monotonic(), threading.Timer(self.timeout_s, _kill, [process])
+        limit.start()
+        answer: Solution | Exception | None = None
+        code = 0
         try:
             pickle.dump((dive_file, start), process.stdin)
             process.stdin.flush()
             answer = pickle.load(process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError) as error:
+        except (EOFError, OSError, pickle.UnpicklingError):
             code = process.wait()
+        finally:
+            limit.cancel()
+        is_late = time.monotonic() - began_s >= self.timeout_s
+        if is_late or answer is None:
             self._end(process)
-            raise CandidateError(_ended(code)) from error
+            raise CandidateError(self.too_late if is_late else _ended(code))
         self._idle.put(process)
         if isinstance(answer, Exception):
             raise answer
@@ -120,8 +129,7 @@ class UserProcesses:
 
     def _end(self, process: Process) -> None:
         """End a process, and what it has started and left behind."""
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
+        _kill(process)
         process.wait()
         for stream in filter(None, (process.stdin, process.stdout)):
             with contextlib.suppress(OSError):
@@ -139,6 +147,11 @@ class UserProcesses:
         """Everything that its runs have printed."""
         texts = {path.name: text for path in sorted(self.folder.glob("*std*")) if (text := _tail(path))}
         return "".join(text if name == "stderr" else f"--- {name}\n{text}" for name, text in texts.items())
+
+
+def _kill(process: Process) -> None:
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _ended(code: int) -> str:

@@ -6,7 +6,6 @@ The first bytes of a file determine its format, not its name.
 import io
 import zipfile
 import zlib
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -76,7 +75,7 @@ def checked_solution(solution: Solution) -> Solution:
         wrong("no position, no velocity and no attitude")
     if "innovation_b" in columns and "innovation_cov" not in columns:
         wrong("innovations without their covariance; in CSV these are innovation_x_mps_sd and so on")
-    return replace(solution, time_ns=time_ns, cov_ns=cov_ns, **columns)
+    return Solution(time_ns, cov_ns=cov_ns, **columns)
 
 
 def read_solution(path: Path, start: CandidateStart) -> Solution:

@@ -290,6 +290,27 @@ class Leaving(Candidate):
         os._exit(7)
 
 
+class Sleeping(Candidate):
+    """A class that does not end."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Wait."""
+        time.sleep(77.0)
+        raise AssertionError
+
+
+class OwnSolution(Solution):
+    """A kind of solution that only the module of the class knows."""
+
+
+class Deriving(Baseline):
+    """A class that returns its own kind of solution."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Return it."""
+        return OwnSolution(**vars(super().run(dive, start)))
+
+
 class Unfinished(Candidate):
     """A class without a result."""
 
@@ -314,6 +335,19 @@ def test_a_class_that_fails(
     assert rows_of_others(replay) == rows_of_others(alone)
     assert replay.printed.get("mine", "") == printed
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_class_that_hangs_is_ended(dive: Dive, alone: Replay) -> None:
+    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Sleeping", timeout_s=0.5)))
+    assert "mine did not end within 0.5 s" in replay.verdicts["mine"].sentence
+    assert replay.verdicts["mine"].verdict == Verdict.NOT_EVALUATED
+    assert rows_of_others(replay) == rows_of_others(alone)
+
+
+def test_a_class_may_return_its_own_kind_of_solution(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(sys.modules[__name__], "OwnSolution")  # this process does not know it
+    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Deriving")))
+    assert replay.verdicts["mine"].verdict == Verdict.EQUIVALENT
 
 
 @pytest.mark.parametrize(
