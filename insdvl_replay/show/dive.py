@@ -33,6 +33,7 @@ from insdvl_replay.core.result import (
 )
 from insdvl_replay.core.tables import TABLES, Number, each_table, finite
 from insdvl_replay.core.words import ReferenceStatus, Verdict
+from insdvl_replay.evaluation.evidence import OF_STARTS
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
 from insdvl_replay.show.answers import TONES, answer_on_dive, as_shown, has_reference, of_filter
 from insdvl_replay.show.document import MISSING, ShownColumn, notes_table, number, percent, shown, significant, table_of
@@ -177,9 +178,17 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
     """Return the footnote of a table, if it depends on the rows."""
     match table:
         case "evidence":
-            # Early reports have no onboard solutions.
-            is_read = bool(report.config.get("filters", {}).get(name, {}).get("solution"))
-            return _how_measured(max(row.starts for row in rows), is_read=is_read)
+            starts = max(row.starts for row in rows)
+            begun = "One start without error, so the gain after an error of the start is not measured (--starts 16)."
+            if starts > 1:
+                begun = f"Values: this dive, from its own start. Ratio of accuracy: over {starts} random starts."
+                if not any(row.evidence == "convergence" or row.quantity in OF_STARTS for row in rows):
+                    begun += " A recorded solution has one start: low and high allow for the scatter of starts."
+            return (
+                f"{begun} low, high: 95 % interval on this dive; other dives may differ by more. p below 0.01 decides. "
+                "Rows in brackets have no vote. n: independent values behind the interval. The ratio of NIS and NEES "
+                "is that of their distance from 1."
+            )
         case "convergence":
             candidate = report.filters[name]
             means = (
@@ -209,26 +218,6 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
                 "sd, 99.7 % in 3 sd. The reference is taken as exact. "
             ) + _in_spite((row.why, label(row.quantity)) for row in rows)
     return ""
-
-
-def _how_measured(starts: int, *, is_read: bool) -> str:
-    if is_read:
-        begun = (
-            f"The onboard solution has one start, the baseline {starts}. low and high allow for the scatter of starts."
-            if starts > 1
-            else "Both have one start, and the baseline's has no error (--starts 16 draws starts)."
-        )
-        return f"{begun} n: independent values behind the interval. The ratio of NEES is that of its distance from 1."
-    drawn = (
-        f"Values: this dive, from its own start. Ratio of accuracy: over {starts} random starts."
-        if starts > 1
-        else "One start without error, so the gain after an error of the start is not measured (--starts 16)."
-    )
-    return (
-        f"{drawn} low, high: 95 % interval on this dive; other dives may differ by more. p below 0.01 decides. Rows in "
-        "brackets have no vote. n: independent values behind the interval. The ratio of NIS and NEES is that of their "
-        "distance from 1."
-    )
 
 
 def _grouped(named: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
