@@ -136,8 +136,9 @@ def replay_log(
         if not auto:
             raise
         from insdvl_replay.inspection.automatic import find_settings
+        from insdvl_replay.inspection.proposal import Given
 
-        found = find_settings([paths], config or Config(), allow_damaged=allow_damaged)
+        found = find_settings([paths], Given(config or Config()), allow_damaged=allow_damaged)
         replay = run(found.config)
         replay = replace(replay, notes=(*found.notes, *replay.notes))
     return DiveResult(report_of(replay), _replay=replay)
@@ -222,9 +223,10 @@ def inspect(
 def propose(logs: Paths, config: Config | None = None, *, allow_damaged: bool = False) -> "CommandResult":
     """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
     from insdvl_replay.inspection.automatic import settings_file
+    from insdvl_replay.inspection.proposal import Given
 
     dives = [[path] for path in _paths(logs)]
-    found = settings_file(dives, (config or Config()).without_code(), allow_damaged=allow_damaged)
+    found = settings_file(dives, Given((config or Config()).without_code()), allow_damaged=allow_damaged)
     sentences = [f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}" for note in found.notes]
     sentences += [] if found.failure is None else [f"blocker: {found.failure.message}; hint: {found.failure.hint}"]
     title = "Proposed settings"

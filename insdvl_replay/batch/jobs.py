@@ -22,10 +22,10 @@ from msgspec.structs import replace as changed
 from insdvl_replay import __version__
 from insdvl_replay.batch.dive_paths import FoundDive, shared_settings
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
-from insdvl_replay.core.result import Report, StoredReport, decode_report, flattened, package_versions
+from insdvl_replay.core.result import Report, StoredReport, decode_report, package_versions
 from insdvl_replay.core.result import as_json as encode_report
 from insdvl_replay.core.runtime import parallel_map, sources_digest, track_progress
 from insdvl_replay.core.words import Severity
@@ -65,6 +65,7 @@ class ReplayOptions:
     histories: bool = True  # write replay.mcap
     history_format: str = ""  # of each filter's history next to it; empty for none
     require_fit: bool = False  # refuse a dive that shows that the settings are wrong
+    given: frozenset[str] = frozenset()  # keys of the settings that a search for others leaves as they are
     found: tuple[Note, ...] = ()  # how the settings were found, if nobody made them
     vehicle: str = ""  # these settings as vehicle.toml
     version: str = __version__  # of the tool, which workers elsewhere must have, too

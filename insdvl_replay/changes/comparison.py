@@ -15,9 +15,10 @@ from msgspec.structs import replace
 
 from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, paired_rows, within
+from insdvl_replay.core.config import flattened
 from insdvl_replay.core.errors import ConfigError, Note, counted, listed, require_known
 from insdvl_replay.core.quantities import label
-from insdvl_replay.core.result import StoredReport, StoredResult, flattened
+from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import LAYOUTS, Number
 from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
 from insdvl_replay.results.stored_results import read_results

@@ -18,7 +18,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import replace
 
 from insdvl_replay.changes.cells import PROSE, RowPair, changed_settings, paired_rows
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.config_file import LARGEST, converted, read_toml
 from insdvl_replay.core.errors import (
     ConfigError,
@@ -29,7 +29,7 @@ from insdvl_replay.core.errors import (
     looked_for,
     require_known,
 )
-from insdvl_replay.core.result import Row, StoredLog, StoredReport, as_json, flattened
+from insdvl_replay.core.result import Row, StoredLog, StoredReport, as_json
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, layout_of
 from insdvl_replay.core.words import GateLevel

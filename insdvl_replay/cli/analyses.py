@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Result
     from insdvl_replay.inspection.inventory import Inventory
+    from insdvl_replay.inspection.proposal import Given
 
 
 # --- inspect
@@ -63,9 +64,10 @@ def inspect(
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
     from insdvl_replay.cli.screen import progress, written
-    from insdvl_replay.core.config_file import load_config
+    from insdvl_replay.core.config_file import given_keys, load_config
     from insdvl_replay.core.result import as_json
     from insdvl_replay.inspection.inventory import inspection_result
+    from insdvl_replay.inspection.proposal import Given
     from insdvl_replay.inspection.survey import inspect_log, inspect_summary
     from insdvl_replay.results.folder import require_replaceable_file
 
@@ -119,13 +121,14 @@ def inspect(
         for content in [inventories] if len(dives) > 1 else inventories:
             write_stdout(as_json(content).decode())
     if propose is not None and inspected:
-        shared = configs[shared_settings(found, "--propose")]
-        _propose(propose, inspected, shared, allow_damaged=allow_damaged, force=force)
+        shared = shared_settings(found, "--propose")
+        named = given_keys(preset, opt.settings_files(shared, config), settings)
+        _propose(propose, inspected, Given(configs[shared], named), allow_damaged=allow_damaged, force=force)
     return code
 
 
 def _propose(
-    target: Path, dives: "Sequence[Sequence[Path]]", config: "Config", *, allow_damaged: bool, force: bool
+    target: Path, dives: "Sequence[Sequence[Path]]", given: "Given", *, allow_damaged: bool, force: bool
 ) -> None:
     """Write settings, and print on stderr what the user must decide."""
     from insdvl_replay.cli.screen import compiling, progress
@@ -134,7 +137,7 @@ def _propose(
     from insdvl_replay.results.folder import result_file
 
     with progress("finding the settings", remark=compiling()):
-        proposed = settings_file(dives, config, allow_damaged=allow_damaged)
+        proposed = settings_file(dives, given, allow_damaged=allow_damaged)
     with result_file(target, force=force) as path:
         path.write_text(proposed.text, "utf-8")
         load_config(file=path)  # checks that it can be read back

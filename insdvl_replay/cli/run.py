@@ -130,6 +130,7 @@ def run(
         write_stdout,
     )
     from insdvl_replay.cli.screen import written
+    from insdvl_replay.core.config_file import given_keys
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
@@ -151,6 +152,7 @@ def run(
         tracks=("tum",) * tum + ("kml",) * kml + ("geojson",) * geojson,
         history_format=history or "",
         require_fit=is_free,
+        given=given_keys(preset, config, settings) if is_free else frozenset(),
     )
     changed = _changed_settings(load, options.config, against, fail_on, tables, strict=strict)
     found = find_dives(logs)
@@ -331,11 +333,12 @@ def outcomes_without_settings(
     from insdvl_replay.core.errors import Note, UserError
     from insdvl_replay.core.words import Severity
     from insdvl_replay.inspection.automatic import find_settings, stored_settings
+    from insdvl_replay.inspection.proposal import Given
     from insdvl_replay.preparation.run import MisfitError
 
     def with_options(dives: "Sequence[ReplayJob]", **changes: object) -> "list[ReplayJob]":
-        options = replace(dives[0].options, require_fit=False, **changes)  # type: ignore[arg-type]
-        return [replace(dive, options=options) for dive in dives]
+        changed = replace(dives[0].options, require_fit=False, **changes)  # type: ignore[arg-type]
+        return [replace(dive, options=changed) for dive in dives]
 
     def needs_settings(outcome: "Outcome") -> bool:
         # No settings help where the result cannot be written.
@@ -348,7 +351,9 @@ def outcomes_without_settings(
         plain = with_options([dive], config=config, tracks=(), history_format="")
         return known_reports(plain, force=True).get(dive.target)
 
-    stored = [stored_settings(dive.target, dive.options.config) for dive in dives]
+    options = dives[0].options
+    given = Given(options.config, options.given)
+    stored = [stored_settings(dive.target, given) for dive in dives]
     reports = [stored_report(dive, config) for dive, config in zip(dives, stored, strict=True)]
     if not rerun and reports[0] is not None and all(config == stored[0] for config in stored):
         found_before = tuple(filter(is_finding, reports[0].notes))
@@ -373,9 +378,7 @@ def outcomes_without_settings(
         return
     try:
         with progress("finding the settings", REPLAY, compiling()):
-            found = find_settings(
-                [dive.logs for dive in dives], dives[0].options.config, allow_damaged=dives[0].options.allow_damaged
-            )
+            found = find_settings([dive.logs for dive in dives], given, allow_damaged=options.allow_damaged)
     except UserError as error:
         if isinstance(first.result, MisfitError):
             text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"

@@ -3,7 +3,8 @@
 `config_file` reads and writes them as TOML.
 """
 
-from typing import Annotated, Final, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Final, Literal
 
 import msgspec
 from msgspec import Meta, Struct
@@ -506,3 +507,12 @@ class Config(Section, frozen=True):
         """The solutions that are read, by filter."""
         given = {name: filter_.solution for name, filter_ in self.filters.items()}
         return {name: spelled_out(solution) for name, solution in given.items() if solution is not None}
+
+
+def flattened(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield nested settings by their dotted keys; lists stay whole."""
+    for key, value in settings.items():
+        if isinstance(value, dict) and value:
+            yield from flattened(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", list(value) if isinstance(value, tuple) else value

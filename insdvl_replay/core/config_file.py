@@ -20,7 +20,17 @@ from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.config import MOST_BYTES, TOPIC_KEYS, Config, Filter, Initial, Topic, key_of, spelled_out
+from insdvl_replay.core.config import (
+    MOST_BYTES,
+    TOPIC_KEYS,
+    Config,
+    Filter,
+    Initial,
+    Topic,
+    flattened,
+    key_of,
+    spelled_out,
+)
 from insdvl_replay.core.errors import (
     LISTED,
     ConfigError,
@@ -286,11 +296,9 @@ def load_config(
     preset = preset or PRESETS[0]
     if preset not in PRESETS:
         raise ConfigError(f"preset '{preset}' is not known", f"use one of: {', '.join(PRESETS)}")
-    text = resources.files("insdvl_replay").joinpath("presets", f"{preset}.toml").read_text("utf-8")
-    layers = [TomlSource(f"preset {preset}", content=parse_toml(text))]
+    layers = [_preset(preset)]
     for path in [file] if isinstance(file, Path) else file or ():
-        invalid = "`insdvl-replay config` prints a valid one"
-        source = read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
+        source = _file(path)
         layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
     settings = msgspec.to_builtins(Config())
     owners = dict[str, str]()  # by filter, the file that names it
@@ -314,6 +322,26 @@ def load_config(
         where = next((layer.name for layer in reversed([*layers, *changes]) if layer.has(*key)), "the configuration")
         raise ConfigError(what, hint, *([where] if key else []))
     return _with_digests(config)
+
+
+def given_keys(preset: str | None, files: Sequence[Path], overrides: Sequence[str]) -> frozenset[str]:
+    """Name the keys that are given, also those with the value of the default.
+
+    A preset gives the keys that any preset sets.
+    """
+    given = [*map(_file, files), *(_parse_override("--set", override) for override in overrides)]
+    given += map(_preset, PRESETS) if preset else []
+    return frozenset(key for source in given for key, value in flattened(source.content) if value is not None)
+
+
+def _preset(name: str) -> TomlSource:
+    text = resources.files("insdvl_replay").joinpath("presets", f"{name}.toml").read_text("utf-8")
+    return TomlSource(f"preset {name}", content=parse_toml(text))
+
+
+def _file(path: Path) -> TomlSource:
+    invalid = "`insdvl-replay config` prints a valid one"
+    return read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
 
 
 def _with_place_for(

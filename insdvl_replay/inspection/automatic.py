@@ -18,16 +18,16 @@ from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.calibration.noise import INERTIAL
-from insdvl_replay.core.config import Config, Dvl, Initial, Noise
+from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ImuColumns, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import Note, UserError, listed
-from insdvl_replay.core.result import flattened
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
 from insdvl_replay.inspection.proposal import (
+    Given,
     Setting,
     comment_lines,
     found_note,
@@ -36,9 +36,7 @@ from insdvl_replay.inspection.proposal import (
     with_values,
 )
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
-from insdvl_replay.inspection.trials import (
-    CONSISTENT,
-)
+from insdvl_replay.inspection.trials import CONSISTENT
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import FIT, LEAST_NIS, MOST_NIS, baseline_fit, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
@@ -72,8 +70,8 @@ class FoundSettings:
         return "".join(f"{line}\n" for line in comments) + f"\n{render_toml(self.config, changed_only=True)}"
 
 
-def find_settings(dives: Sequence[Paths], given: Config, *, allow_damaged: bool = False) -> FoundSettings:
-    """Find settings for dives of one vehicle, except for those that are given, which are as they are not by default.
+def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> FoundSettings:
+    """Find settings for dives of one vehicle, except for those that are given.
 
     Raises
     ------
@@ -83,14 +81,14 @@ def find_settings(dives: Sequence[Paths], given: Config, *, allow_damaged: bool 
     report_stage("finding the settings")
     dives = dives[:MOST_DIVES]
     notes: list[Note] = []
-    readings = read_roles(dives[0], given, allow_damaged=allow_damaged)
+    readings = read_roles(dives[0], given.config, allow_damaged=allow_damaged)
     config, cost = with_roles(readings, given, notes)
     config = _with_latitude(_as_given(config, given), readings.reference, notes)
     del readings
     report_stage("reading the log")
     read = [read_checked_dive(dives[0], config, allow_damaged=allow_damaged)]
     contradictions = [note for note in read[0].notes if note.code in CONTRADICTIONS]
-    if contradictions and cost < CONSISTENT and given.reference == Config().reference:
+    if contradictions and cost < CONSISTENT and not given.has("reference"):
         text = f"the reference is not used: {contradictions[0].text}, while IMU and DVL agree"
         notes.append(found_note("found_reference", text, "to use it: reference.ignore = false", warn=True))
         config = with_values(config, "reference", ignore=True)
@@ -108,19 +106,19 @@ def find_settings(dives: Sequence[Paths], given: Config, *, allow_damaged: bool 
     config = _calibrated([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
     read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
     config, better = _with_biases_of_class(config, given, preset)
-    if better != preset and given.noise == Noise():
+    if better != preset and not given.has("noise"):
         known = [_middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
         again = calibrate_dives(known, config, [NOISE]).found
         config, preset = _as_given(_with_noise(config, answer_of(again).applied(again)), given), better
-    config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, notes)
+    config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
     config = _levelled(read[0], config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
         notes.append(
             found_note("found_dives", f"settings of one vehicle, found from {len(read)} dives together: {names}")
         )
-    if keys := _given_keys(given):
-        notes.append(found_note("found_given", f"{AS_GIVEN}{listed(keys)}"))
+    if given.keys:
+        notes.append(found_note("found_given", f"{AS_GIVEN}{listed(given.keys)}"))
     return FoundSettings(config, tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)))
 
 
@@ -134,7 +132,7 @@ class SettingsFile:
     failure: UserError | None = None  # why no settings could be tried
 
 
-def settings_file(dives: Sequence[Paths], given: Config, *, allow_damaged: bool = False) -> SettingsFile:
+def settings_file(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> SettingsFile:
     """Find settings for the dives of a vehicle; else propose what names, types and sizes show of the first.
 
     Raises
@@ -146,31 +144,27 @@ def settings_file(dives: Sequence[Paths], given: Config, *, allow_damaged: bool 
         found = find_settings(dives, given, allow_damaged=allow_damaged)
         return SettingsFile(found.text, found.notes)
     except UserError as failure:
-        proposal = propose_settings(dives[0], given, allow_damaged=allow_damaged)
-        keys = (key.split(".") for key in _given_keys(given) if key.count(".") == 1)
-        settings = [Setting(f"{section}.{key}", getattr(getattr(given, section), key)) for section, key in keys]
-        settings += proposal.settings
+        proposal, config = propose_settings(dives[0], given.config, allow_damaged=allow_damaged), given.config
+        keys = (key.split(".") for key in given.keys if key.count(".") == 1)
+        settings = [*proposal.settings]
+        settings += [Setting(f"{section}.{key}", getattr(getattr(config, section), key)) for section, key in keys]
         comments = comment_lines(f"blocker: {failure.message}; {failure.hint}")
         text = "".join(f"{line}\n" for line in comments) + f"\n{settings_toml(settings)}"
+        if given.has("filters", "topics"):
+            kept = render_toml(Config(filters=config.filters, topics=config.topics), changed_only=True)
+            text += f"\n{kept}"
         missing = [setting.key for setting in settings if setting.value is None and setting.key not in _NOT_NEEDED]
         return SettingsFile(text, proposal.notes, tuple(dict.fromkeys(missing)), failure)
 
 
-def _given_keys(given: Config) -> list[str]:
-    """Name what is not as it is by default, except for the span and the evaluation."""
-    default = dict(flattened(msgspec.to_builtins(Config())))
-    keys = [key for key, value in flattened(msgspec.to_builtins(given)) if value != default.get(key)]
-    return [key for key in keys if not key.startswith(("span.", "evaluation."))]
-
-
-def _as_given(found: Config, given: Config) -> Config:
+def _as_given(found: Config, given: Given) -> Config:
     """Return settings with those that are given."""
-    default = Config()
     for section in ("imu", "dvl", "reference", "initial", "noise"):
-        now, before = getattr(given, section), getattr(default, section)
-        values = {key: getattr(now, key) for key in now.__struct_fields__ if getattr(now, key) != getattr(before, key)}
+        now = getattr(given.config, section)
+        values = {key: getattr(now, key) for key in now.__struct_fields__ if given.has(f"{section}.{key}")}
         found = with_values(found, section, **{key: value for key, value in values.items() if value is not None})
-    return found if given.filters == default.filters else msgspec.structs.replace(found, filters=given.filters)
+    are_given = given.has("filters") or given.config.filters != Config().filters
+    return msgspec.structs.replace(found, filters=given.config.filters) if are_given else found
 
 
 def _later(dive: Dive, latency_s: float) -> Dive:
@@ -179,7 +173,7 @@ def _later(dive: Dive, latency_s: float) -> Dive:
     return replace(dive, dvl=replace(dive.dvl, time_ns=time_ns))
 
 
-def stored_settings(folder: Path, given: Config) -> Config | None:
+def stored_settings(folder: Path, given: Given) -> Config | None:
     """Return the settings that an earlier run found for the result in a folder, with the same span and evaluation.
 
     Those that were found beside other given ones are found again.
@@ -192,10 +186,10 @@ def stored_settings(folder: Path, given: Config) -> Config | None:
     except UserError:
         return None
     comments = " ".join(line[1:].strip() for line in file.read_text("utf-8").splitlines() if line.startswith("#"))
-    keys = _given_keys(given)
-    is_same = f"{AS_GIVEN}{listed(keys)}" in comments if keys else AS_GIVEN not in comments
-    same = is_same and _as_given(found, given) == found and found.topics == given.topics
-    return found if same and (found.span, found.evaluation) == (given.span, given.evaluation) else None
+    is_same = f"{AS_GIVEN}{listed(given.keys)}" in comments if given.keys else AS_GIVEN not in comments
+    config = given.config
+    same = is_same and _as_given(found, given) == found and found.topics == config.topics
+    return found if same and (found.span, found.evaluation) == (config.span, config.evaluation) else None
 
 
 # --- The class of the IMU.
@@ -243,13 +237,13 @@ def _with_start(dive: Dive, config: Config) -> Config:
     return with_values(config, "initial", source="level")
 
 
-def _with_heading(dives: Sequence[Dive], config: Config, notes: list[Note]) -> tuple[Config, Initial]:
+def _with_heading(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> tuple[Config, Initial]:
     """Find the heading at the start: by the reference's attitude, a fit to its positions, else 0.
 
     The start of the first dive is returned, too, with the heading and the gyro bias of a fit.
     """
     reference = dives[0].reference
-    if config.initial.source == "reference" or config.initial.heading_deg != 0.0:
+    if config.initial.heading_deg is None or given.has("initial.heading_deg"):
         return config, config.initial
     if reference is not None and reference.has_position:
         try:
@@ -273,11 +267,11 @@ def _with_heading(dives: Sequence[Dive], config: Config, notes: list[Note]) -> t
 # --- Geometry and noise.
 
 
-def _calibrated(dives: Sequence[Dive], config: Config, given: Config, notes: list[Note]) -> Config:
+def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> Config:
     """Apply the calibration that is better on the held-out part; what is given is not calibrated."""
     read = [_middle(ReadDive(dive, config)) for dive in dives]
-    groups = [group for group, key in GROUPS.items() if getattr(given.dvl, key) == getattr(Dvl(), key)]
-    groups += [NOISE] if given.noise == Noise() else []
+    groups = [group for group, key in GROUPS.items() if not given.has(f"dvl.{key}")]
+    groups += [] if given.has("noise") else [NOISE]
     if not groups:
         return config
     try:
@@ -335,7 +329,7 @@ def _with_noise(config: Config, found: Calibration) -> Config:
     return config
 
 
-def _with_biases_of_class(config: Config, given: Config, preset: str) -> tuple[Config, str]:
+def _with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Config, str]:
     """Take the biases of the class that the white noise belongs to, where it is better than that of the scatter.
 
     Coarse steps of the readings, and the vehicle's motion, scatter more than a good sensor.
@@ -395,7 +389,7 @@ def _mean_nis(found: Calibration) -> tuple[float, float]:
     return before, after
 
 
-def _levelled(dive: Dive, config: Config, given: Config, started: Initial, preset: str, notes: list[Note]) -> Config:
+def _levelled(dive: Dive, config: Config, given: Given, started: Initial, preset: str, notes: list[Note]) -> Config:
     """Scale the noise of the DVL until the innovations are as large as expected, where they are not."""
     key = "velocity_sd_mps" if config.dvl.beam_sd_mps is None else "beam_sd_mps"
 
@@ -403,7 +397,8 @@ def _levelled(dive: Dive, config: Config, given: Config, started: Initial, prese
         return baseline_fit(dive, msgspec.structs.replace(tried, initial=started))[0]
 
     def scaled(config: Config, size: float, *keys: tuple[str, str]) -> tuple[Config, float]:
-        for _ in range(MOST_ROUNDS if _is_free(keys, given) else 0):
+        is_free = not given.has(*(f"{section}.{name}" for section, name in keys))
+        for _ in range(MOST_ROUNDS if is_free else 0):
             tried = config
             for section, name in keys:
                 value = float(f"{getattr(getattr(config, section), name) * np.sqrt(size):.3g}")
@@ -416,7 +411,7 @@ def _levelled(dive: Dive, config: Config, given: Config, started: Initial, prese
 
     before, first = config, size_with(config)
     config, size = scaled(before, first, ("dvl", key))
-    if size < LEAST_NIS and given.noise == Noise():
+    if size < LEAST_NIS and not given.has("noise"):
         # The noise of the IMU decides. It is at most the scatter of the readings.
         for name, field in INERTIAL.items():
             most = readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s)
@@ -427,8 +422,9 @@ def _levelled(dive: Dive, config: Config, given: Config, started: Initial, prese
         config, size = scaled(config, size_with(config), *both)
         config, preset = _with_biases_of_class(config, given, preset)
         config, size = scaled(config, size_with(config), *both)
-    text = f"noise of preset {preset}, the class of this IMU"
-    fitted = [name for name in INERTIAL if getattr(load_config(preset).noise, name) != getattr(config.noise, name)]
+    free = [name for name in INERTIAL if not given.has(f"noise.{name}")]
+    text = f"noise of preset {preset}, the class of this IMU" if free else "noise of the IMU as given"
+    fitted = [name for name in free if getattr(load_config(preset).noise, name) != getattr(config.noise, name)]
     if fitted:
         values = (f"{name} {getattr(config.noise, name):.3g}" for name in fitted)
         text += f"; fitted to the innovations: {', '.join(values)}"
@@ -440,8 +436,3 @@ def _levelled(dive: Dive, config: Config, given: Config, started: Initial, prese
         text += f"; NIS/dof is still {size:.2g}, which no noise of these sensors explains"
     notes.append(found_note("found_noise", text, warn=not is_fitting))
     return config
-
-
-def _is_free(keys: Sequence[tuple[str, str]], given: Config) -> bool:
-    default = Config()
-    return all(getattr(getattr(given, at), key) == getattr(getattr(default, at), key) for at, key in keys)

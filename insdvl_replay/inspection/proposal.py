@@ -9,9 +9,10 @@ a person can know is a comment. Every other key has the likeliest value, so the 
 
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +22,7 @@ import numpy as np
 
 from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.reference import velocity_misfit
-from insdvl_replay.core.config import Config, Imu, Initial
+from insdvl_replay.core.config import Config, Imu, Initial, flattened
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
@@ -79,6 +80,26 @@ class Setting:
     def name(self) -> str:
         """Its name in this table."""
         return self.key.rpartition(".")[2]
+
+
+@dataclass(frozen=True)
+class Given:
+    """Settings that a person has given, which a search leaves as they are."""
+
+    config: Config
+    named: Collection[str] = ()  # keys that were given, which may have the value of the default
+
+    @cached_property
+    def keys(self) -> list[str]:
+        """The keys that are given or not as by default, except for the span and the evaluation."""
+        default = dict(flattened(msgspec.to_builtins(Config())))
+        values = flattened(msgspec.to_builtins(self.config))
+        keys = [key for key, value in values if value != default.get(key) or key in self.named]
+        return [key for key in keys if not key.startswith(("span.", "evaluation."))]
+
+    def has(self, *names: str) -> bool:
+        """Return whether any of some keys is given, or any key of some sections."""
+        return any(f"{key}.".startswith(f"{name}.") for key in self.keys for name in names)
 
 
 def with_settings(config: Config, settings: Iterable[Setting]) -> Config:

@@ -11,7 +11,7 @@ import numpy as np
 
 from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import imu_remarks
-from insdvl_replay.core.config import Config, Dvl, Imu
+from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.runtime import track_progress
@@ -20,6 +20,7 @@ from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.proposal import (
+    Given,
     Setting,
     axes_text,
     found_note,
@@ -129,14 +130,14 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     return fitting[0] if fitting else read_in
 
 
-def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[Config, float]:
+def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Config, float]:
     """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs; return the cost of the best."""
     place, draft, imus, pings = read.place, read.draft, read.imus, read.pings
     tried: list[tuple[Trials, _ImuTopic, str]] = []
     for imu in track_progress("trying IMUs and DVLs", imus):
         for topic, dvl in pings.items():
             dive = Dive("", imu.columns, dvl, reference=read.reference)
-            trials = Trials(thinned(dive), trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read, config)
+            trials = Trials(thinned(dive), trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given)
             tried.append((trials, imu, topic))
     tried.sort(key=lambda found: found[0].cost)
     for trials, *_ in tried:
@@ -155,7 +156,7 @@ def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[C
     best = as_reference_moves(trials.close, dive, draft)
     best = best if trials.allows(best) else trials.close[0]
     alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (best.axes, best.force_axes)}
-    if alike >= QUARTERS_DEG and config.dvl.mounting_rpy_deg == Dvl().mounting_rpy_deg:
+    if alike >= QUARTERS_DEG and not given.has("dvl.mounting_rpy_deg"):
         raise LogError(
             "the vehicle moves too little to find the mounting of the DVL: all headings fit as well",
             "use a dive with turns and changes of speed, or give the settings with -c",
@@ -166,7 +167,7 @@ def with_roles(read: RoleReadings, config: Config, notes: list[Note]) -> tuple[C
     if read.clocks:
         times = "; ".join(f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks)
         notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
-    draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, config.imu, is_alone=len(imus) == 1))
+    draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, given.config.imu, is_alone=len(imus) == 1))
     if len(pings) > 1:
         draft = with_values(draft, "dvl", topic=dvl_topic)
     if dvl_topic in read.velocity_units:

@@ -24,7 +24,7 @@ from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import horizontal
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.inspection.proposal import axes_text, level_axes
+from insdvl_replay.inspection.proposal import Given, axes_text, level_axes
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 
 STRETCH_S: Final = 240.0
@@ -128,7 +128,7 @@ def with_cost(tried: Hypothesis, dive: Dive, config: Config) -> Hypothesis:
 class Trials:
     """All trials of one thinned dive, whose readings are in the axes of the instruments."""
 
-    def __init__(self, dive: Dive, config: Config, as_read: Hypothesis, given: Config) -> None:
+    def __init__(self, dive: Dive, config: Config, as_read: Hypothesis, given: Given) -> None:
         self.dive, self.config, self.as_read, self.given = dive, config, as_read, given
         self.found = [as_read]
         if not (len(dive.imu.time_ns) and len(dive.dvl.time_ns)):
@@ -166,14 +166,14 @@ class Trials:
 
     def allows(self, one: Hypothesis) -> bool:
         """Return whether a hypothesis agrees with the axes, the scale and the mounting that are given."""
-        imu, dvl = self.given.imu, self.given.dvl
+        imu, dvl = self.given.config.imu, self.given.config.dvl
         force_axes = imu.specific_force_axes or imu.axes
-        is_scaled = imu.angular_rate_unit is not None or imu.angular_rate_scale != 1.0
+        is_scaled = self.given.has("imu.angular_rate_unit", "imu.angular_rate_scale")
         return (
             (imu.axes is None or one.axes == axes_text(_map_of(imu.axes)))
             and (force_axes is None or one.force_axes == axes_text(_map_of(force_axes)))
             and (not is_scaled or one.rate_scale == 1.0)
-            and (dvl.mounting_rpy_deg == Dvl().mounting_rpy_deg or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg))
+            and (not self.given.has("dvl.mounting_rpy_deg") or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg))
         )
 
     def _tried(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:

@@ -9,7 +9,7 @@ from typing import Any, Final
 import msgspec
 from msgspec import Struct
 
-from insdvl_replay.core.config import Config
+from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.errors import counted, require_known
 from insdvl_replay.core.quantities import is_used, is_whole, label
 from insdvl_replay.core.result import (
@@ -29,7 +29,6 @@ from insdvl_replay.core.result import (
     Report,
     Result,
     Title,
-    flattened,
 )
 from insdvl_replay.core.tables import TABLES, Number, each_table, finite
 from insdvl_replay.core.words import ReferenceStatus, Verdict

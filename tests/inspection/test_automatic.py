@@ -5,15 +5,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import damaged
+import msgspec
 import numpy as np
 import pytest
 
 from insdvl_replay import replay_log
 from insdvl_replay.cli import run_command_line
+from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.automatic import find_settings
+from insdvl_replay.inspection.proposal import Given
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS
 from insdvl_replay.replay import replay_log as replayed
@@ -89,7 +92,7 @@ def test_python_finds_the_same_settings(good: Dive, tmp_path: Path) -> None:
 def test_signs_scales_and_late_stamps_are_found(damage: str, good: Dive, tmp_path: Path) -> None:
     log = written(good, damage, tmp_path)
     config = load_config(overrides=["evaluation.starts=1"])
-    size, drift_m = damaged.measured(replayed(log, find_settings([[log]], config).config))
+    size, drift_m = damaged.measured(replayed(log, find_settings([[log]], Given(config)).config))
     assert LEAST_NIS < size < MOST_NIS
     assert drift_m < 1.5
 
@@ -98,17 +101,37 @@ def test_a_vehicle_at_rest_is_refused(tmp_path: Path) -> None:
     log = tmp_path / "static.mcap"
     write_dive(log, damaged.velocities_alone(simulate_dive("static", duration_s=60.0)))
     with pytest.raises(LogError, match="too slow to find settings"):
-        find_settings([[log]], load_config())
+        find_settings([[log]], Given(load_config()))
+
+
+def wandering(dive: Dive, folder: Path) -> Path:
+    """Write a dive with a reference that moves otherwise than IMU and DVL."""
+    reference, log = dive.reference, folder / "dive.mcap"
+    assert reference is not None
+    rng = np.random.default_rng(1)
+    velocity_n = np.cumsum(rng.normal(scale=0.3, size=reference.velocity_n.shape), axis=0)
+    write_dive(log, replace(dive, reference=replace(reference, velocity_n=velocity_n)))
+    return log
+
+
+def test_a_value_that_is_given_stays_also_where_it_is_the_default(
+    good: Dive, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["run", str(wandering(good, tmp_path)), "-o", str(tmp_path / "out"), "--starts", "1"]
+    command += ["--preset", "levy-klein", "--set", "dvl.lever_arm_m=[0,0,0]", "--set", "reference.ignore=false"]
+    assert run_command_line(command) == 0
+    assert "found: IMU" in capsys.readouterr().err
+    config = json.loads((tmp_path / "out" / "dive" / "report.json").read_text())["config"]
+    default = json.loads(msgspec.json.encode(Config()))
+    assert (config["noise"], config["filters"]) == (default["noise"], default["filters"])
+    assert (config["dvl"]["lever_arm_m"], config["reference"]["ignore"]) == ([0.0, 0.0, 0.0], False)
+    assert run_command_line(command) == 0
+    assert "unchanged" in capsys.readouterr().err
 
 
 def test_a_reference_that_moves_otherwise_is_not_used(good: Dive, tmp_path: Path) -> None:
-    reference = good.reference
-    assert reference is not None
-    rng = np.random.default_rng(1)
-    wandering = np.cumsum(rng.normal(scale=0.3, size=reference.velocity_n.shape), axis=0)
-    log = tmp_path / "dive.mcap"
-    write_dive(log, replace(good, reference=replace(reference, velocity_n=wandering)))
-    found = find_settings([[log]], load_config())
+    log = wandering(good, tmp_path)
+    found = find_settings([[log]], Given(load_config()))
     assert found.config.reference.ignore
     assert "found_reference" in {note.code for note in found.notes}
     assert replayed(log, found.config).dive.reference is None

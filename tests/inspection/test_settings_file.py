@@ -20,6 +20,7 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.automatic import SettingsFile, imu_class, settings_file
+from insdvl_replay.inspection.proposal import Given
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import replay_log
 from insdvl_replay.sim.dive import simulate_dive
@@ -28,7 +29,7 @@ DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
 
 def proposed(log: Path, *overrides: str) -> SettingsFile:
-    return settings_file([[log]], load_config(overrides=overrides))
+    return settings_file([[log]], Given(load_config(overrides=overrides)))
 
 
 def loaded(log: Path, folder: Path, *overrides: str) -> Config:
@@ -202,7 +203,7 @@ def test_dives_share_their_mounting_and_not_their_heading(turning: Dive, tmp_pat
     logs = [tmp_path / f"{number}.mcap" for number in (1, 2)]
     for log in logs:
         write_dive(log, positions_alone(turned_dvl(turning, (0.0, 0.0, -90.0))))
-    found = settings_file([[log] for log in logs], load_config())
+    found = settings_file([[log] for log in logs], Given(load_config()))
     file = tmp_path / "vehicle.toml"
     file.write_text(found.text)
     config = load_config(file=file)
@@ -228,10 +229,23 @@ def test_what_was_given_stays(turning: Dive, tmp_path: Path) -> None:
     turn_rate = ['topics.turning.topic="/imu"', 'topics.turning.values="angular_velocity.z"']
     given = load_config("tactical", overrides=[*geometry, *turn_rate])
     file = tmp_path / "proposed.toml"
-    file.write_text(settings_file([[log]], given).text)
+    file.write_text(settings_file([[log]], Given(given)).text)
     found = load_config(file=file)
     assert (found.noise, found.filters, found.topics) == (given.noise, given.filters, given.topics)
     assert (found.dvl.lever_arm_m, found.dvl.mounting_rpy_deg) == ((1.0, 0.0, 0.5), (0.0, 0.0, 2.0))
+
+
+def test_what_was_given_stays_where_no_settings_are_found(tmp_path: Path) -> None:
+    log, file = tmp_path / "log.mcap", tmp_path / "proposed.toml"
+    write_dive(log, replace(simulate_dive("static", duration_s=60.0), truth=None))
+    turn_rate = ['topics.turning.topic="/imu"', 'topics.turning.values="angular_velocity.z"']
+    given = load_config("mems", overrides=["dvl.latency_s=0.05", "filters.aided.velocity_sd_mps=0.01", *turn_rate])
+    proposed = settings_file([[log]], Given(given))
+    assert proposed.failure is not None
+    file.write_text(proposed.text)
+    found = load_config(file=file)
+    assert (found.noise, found.dvl, found.filters) == (given.noise, given.dvl, given.filters)
+    assert found.topics == given.topics
 
 
 # --- As a command.

@@ -11,7 +11,7 @@ from insdvl_replay.api import replay_log
 from insdvl_replay.core.config import Config
 from insdvl_replay.geometry.frames import solve_beams
 from insdvl_replay.inspection.automatic import find_settings
-from insdvl_replay.inspection.proposal import propose_settings
+from insdvl_replay.inspection.proposal import Given, propose_settings
 from insdvl_replay.inspection.table_clocks import stretched_rate_hz
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -101,7 +101,7 @@ def test_faults_of_a_recorded_dive_are_found() -> None:
     assert found["reference.latency_s"].value == pytest.approx(0.416, abs=0.01)
     assert found["dvl.latency_s"].value == pytest.approx(-1.018, abs=0.02)
     assert found["reference.height"].value == "altitude"
-    assert find_settings([[AKIT]], Config()).config.imu.axes == "+x-y+z"
+    assert find_settings([[AKIT]], Given(Config())).config.imu.axes == "+x-y+z"
 
 
 @needs_dives

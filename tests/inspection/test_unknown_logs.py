@@ -19,6 +19,7 @@ from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.inspection.dry_run import FieldMatch
+from insdvl_replay.inspection.proposal import Given
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path
@@ -89,7 +90,7 @@ def test_trials_find_units_axes_and_scale(
     log = tmp_path / "unknown.mcap"
     scaled = replace(turning.imu, angular_rate_b=scale * turning.imu.angular_rate_b)
     unknown_logs.turned(log, replace(turning, imu=scaled), turn)
-    config = find_settings([[log]], load_config()).config
+    config = find_settings([[log]], Given(load_config())).config
     assert (config.imu.axes, config.imu.angular_rate_unit, config.imu.specific_force_unit) == (axes, "deg/s", "g")
     assert config.imu.angular_rate_scale == pytest.approx(scale, abs=0.01)
     assert (config.dvl.velocity_unit, config.dvl.stamp) == ("mm/s", "stamp_ms")
