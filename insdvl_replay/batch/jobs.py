@@ -272,13 +272,25 @@ def replay_jobs(
                 place, result = next(replays)
                 finished = todo[place]
                 if isinstance(result, WorkerLostError):  # workers do not know of logs
-                    result = LogError(f"{finished.name}: {result.message}", result.hint)
+                    result = _lost(finished, result)
                 found = decode_report(result) if isinstance(result, bytes) else result
                 done[finished.target] = Outcome(finished, found)
                 next(steps, None)
             yield done.pop(job.target)
         for _ in replays:  # nothing more comes, and workers end by themselves
             pass
+
+
+def _lost(job: ReplayJob, error: WorkerLostError) -> WorkerLostError:
+    """Say which dive ended its process, and whose code ran in it: programs and classes of candidates have their own."""
+    filters = {name: filter_.code for name, filter_ in job.options.config.computed.items() if filter_.code}
+    if not filters:
+        return WorkerLostError(f"{job.name}: {error.message}", error.hint)
+    code = listed([f"filters.{name} ({', '.join(words)})" for name, words in filters.items()])
+    return WorkerLostError(
+        f"{job.name}: its process ended twice; it runs the code of {code}",
+        f"this code may crash, or call os._exit; to replay without it: --set filters.{[*filters][-1]}=false",
+    )
 
 
 def checked_dives(

@@ -328,6 +328,7 @@ def outcomes_without_settings(
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
+    from insdvl_replay.batch.workers import WorkerLostError
     from insdvl_replay.cli.messages import is_finding
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import Note, UserError
@@ -341,9 +342,10 @@ def outcomes_without_settings(
         return [replace(dive, options=changed) for dive in dives]
 
     def needs_settings(outcome: "Outcome") -> bool:
-        # No settings help where the result cannot be written.
-        target = str(outcome.job.target)
-        return isinstance(outcome.result, UserError) and not str(outcome.result).startswith(target)
+        # No settings help where the result cannot be written, or where the process ends.
+        error, target = outcome.result, str(outcome.job.target)
+        is_lost = isinstance(error, WorkerLostError)
+        return isinstance(error, UserError) and not (is_lost or str(error).startswith(target))
 
     def stored_report(dive: "ReplayJob", config: "Config | None") -> "Report | None":
         if config is None:

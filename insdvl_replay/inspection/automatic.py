@@ -71,7 +71,7 @@ class FoundSettings:
 
 
 def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> FoundSettings:
-    """Find settings for dives of one vehicle, except for those that are given.
+    """Find settings for dives of one vehicle, except for those that are given; no code in them is run.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
         A log cannot be read, or lacks what a replay needs.
     """
     report_stage("finding the settings")
-    dives = dives[:MOST_DIVES]
+    dives, whole, given = dives[:MOST_DIVES], given, replace(given, config=given.config.without_code())
     notes: list[Note] = []
     readings = read_roles(dives[0], given.config, allow_damaged=allow_damaged)
     config, cost = with_roles(readings, given, notes)
@@ -117,9 +117,11 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
         notes.append(
             found_note("found_dives", f"settings of one vehicle, found from {len(read)} dives together: {names}")
         )
-    if given.keys:
-        notes.append(found_note("found_given", f"{AS_GIVEN}{listed(given.keys)}"))
-    return FoundSettings(config, tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING)))
+    if whole.keys:
+        notes.append(found_note("found_given", f"{AS_GIVEN}{listed(whole.keys)}"))
+    return FoundSettings(
+        _as_given(config, whole), tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING))
+    )
 
 
 @dataclass(frozen=True)

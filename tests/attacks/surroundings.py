@@ -64,7 +64,7 @@ def _code(folder: Path) -> Iterator[Outcome]:
         yield _judged(f"1 code in settings, `{command[0]}`", code, said, 0)
     yield "1 code was imported", "imported" if (folder / "imported").exists() else "ok", ""
     code, _, said = _ended(folder, *check, "--allow-code")
-    yield _judged("1 `os._exit(0)` in a check", code, said, 3, "its worker died")
+    yield _judged("1 `os._exit(0)` in a check", code, said, 3, "its process ended twice")
 
 
 def _solutions(folder: Path) -> Iterator[Outcome]:

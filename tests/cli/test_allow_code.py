@@ -102,11 +102,41 @@ def test_code_runs_in_a_process_of_its_own() -> None:
     assert local_pool(1, runs_code=True) is not None
 
 
+LEAVING = """
+import os
+
+import numpy as np
+
+from insdvl_replay import UserNoise
+
+
+class Noise(UserNoise):
+    def noise_factors(self, dive):
+        if dive.name == "transit":
+            os._exit(0)
+        return dive.imu.time_ns[:1], np.ones((1, 2))
+"""
+
+
+def test_code_that_ends_its_process_fails_one_dive_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "leaving.py").write_text(LEAVING)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    settings = ["--starts", "1", "--allow-code", "--set", "filters.aided.noise_factors=leaving:Noise"]
+    dives = [str(DIVE), str(DIVE.with_name("outage.mcap"))]
+    assert run_command_line(["run", *dives, "-o", str(tmp_path), "--jobs", "2", *settings]) == 3
+    said = capsys.readouterr().err
+    assert f"error: {DIVE}: its process ended twice; it runs the code of filters.aided (leaving:Noise); hint: " in said
+    assert "--set filters.aided=false" in said
+    assert (tmp_path / "outage" / "report.json").exists()
+
+
 @pytest.mark.nightly
 def test_code_that_ends_its_process_fails_the_check(vehicle: Path) -> None:
     command = [sys.executable, "-m", "insdvl_replay", "check", "gates.toml", str(DIVE), "-c", str(vehicle)]
     done = subprocess.run([*command, "--allow-code"], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 3
     assert "\nNO RESULT  " in done.stdout
-    assert "worker" in done.stderr
+    assert "its process ended twice; it runs the code of filters.mine (told_code:Down); hint: " in done.stderr
     assert (vehicle.parent / "imported").exists()
