@@ -4,7 +4,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.certainty import (
@@ -290,8 +289,7 @@ def held_out_row(
     read: ReadDive, change: Floats, noise: FittedNoise | None = None, windows_s: Sequence[str] = OUTAGES_S
 ) -> HeldOutRow:
     """Return the row of a held-out dive: NIS and drift before and after a change, (8,), and NIS with a new noise."""
-    asked, config = read.innovations(), read.config
-    alone = msgspec.structs.replace(config, filters={config.baseline: config.filters[config.baseline]})
+    asked, alone = read.innovations(), read.alone
     prepared = prepare_with_heading(read.dive, alone)
     nis: list[float] = []
     outages = []

@@ -180,6 +180,12 @@ class ReadDive:
         """Return the same readings with other settings."""
         return replace(self, config=config)
 
+    @property
+    def alone(self) -> Config:
+        """The settings with the baseline alone."""
+        name = self.config.baseline
+        return msgspec.structs.replace(self.config, filters={name: self.config.filters[name]})
+
     def innovations(self) -> "DiveInnovations":
         """Prepare it for a fit, with pings that stay inside the span for any delay.
 
@@ -188,7 +194,7 @@ class ReadDive:
         LogError
             It has too few pings.
         """
-        prepared = prepare_with_heading(self.dive, self.config)
+        prepared = prepare_with_heading(self.dive, self.alone)
         baseline = replace(prepared.filters[0], aiding=("velocity",), gate_probability=1.0, gate_reopen_after=0)
         # A step beyond the largest delay also needs its pings inside.
         room_ns = nanoseconds(LATEST_S + 2.0 * float(STEPS[DELAY]))

@@ -14,6 +14,7 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.errors import ConfigError
 
 DIVE = Path(__file__).parents[2] / "examples" / "archive" / "dives" / "transit.mcap"
+TURNING = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 SETTINGS = """[filters.baseline]
 aiding = ["velocity"]
 
@@ -68,6 +69,7 @@ def test_what_runs_filters_refuses_code_before_it_is_imported(
         ["inspect", "--deep", str(DIVE)],
         ["inspect", str(DIVE)],
         ["study", "window", str(DIVE), "--longest", "2"],
+        ["calibrate", str(TURNING), "--allow-code"],  # the baseline alone is run
     ],
 )
 def test_what_runs_no_filter_runs_no_code(
