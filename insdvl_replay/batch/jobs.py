@@ -65,6 +65,7 @@ class ReplayOptions:
     histories: bool = True  # write replay.mcap
     history_format: str = ""  # of each filter's history next to it; empty for none
     require_fit: bool = False  # refuse a dive that shows that the settings are wrong
+    blocked_by: str = ""  # the option without which settings that fit would be searched for
     given: frozenset[str] = frozenset()  # keys of the settings that a search for others leaves as they are
     found: tuple[Note, ...] = ()  # how the settings were found, if nobody made them
     vehicle: str = ""  # these settings as vehicle.toml
@@ -117,7 +118,7 @@ def plan_jobs(
     own: dict[Path | None, ReplayOptions] = {}
     for file in {dive.settings for dive in dives}:
         if file is not None and own_config is not None:
-            own[file] = replace(options, config=own_config(file), require_fit=False)
+            own[file] = replace(options, config=own_config(file), require_fit=False, blocked_by="")
     names = unique_names(givers)
     return [
         ReplayJob(

@@ -3,7 +3,7 @@
 import os
 import sys
 from collections.abc import Callable, Generator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -144,14 +144,17 @@ def run(
     require_tables(tables)
     given = [*settings, *opt.span_settings(start, end, starts)]
     load = partial(_settings, preset, config, given, allow_code)
-    is_free = auto and not (control or config or scheduler or against)
+    # One of these options keeps a run without settings from searching for some.
+    blocked_by = "--against" if against else "--control" if control else "--scheduler" if scheduler else ""
+    is_free = auto and not config
     options = ReplayOptions(
         load(report=log_info),
         allow_damaged=allow_damaged,
         control=control,
         tracks=("tum",) * tum + ("kml",) * kml + ("geojson",) * geojson,
         history_format=history or "",
-        require_fit=is_free,
+        require_fit=is_free and not blocked_by,
+        blocked_by=blocked_by if is_free else "",
         given=given_keys(preset, config, settings) if is_free else frozenset(),
     )
     changed = _changed_settings(load, options.config, against, fail_on, tables, strict=strict)
@@ -163,7 +166,7 @@ def run(
         both = options, replace(options, config=changed)
         sides = plan_both_sides(found, output, both, own_configs, one_dive=one_dive)
         dives = [job for _, planned in sides for job in planned]
-        replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, lake=lake)
+        replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
     dives = plan_jobs(found, output, options, load, one_dive=one_dive)
     alone = len(dives) == 1
@@ -187,7 +190,7 @@ def run(
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
     unchanged, explained, has_findings = 0, False, False
-    for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun, lake=lake):
+    for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake):
         name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
         if isinstance(report, Exception):
             reports.append(Failure(name, str(report)))
@@ -328,7 +331,6 @@ def outcomes_without_settings(
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
-    from insdvl_replay.batch.workers import WorkerLostError
     from insdvl_replay.cli.messages import is_finding
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import Note, UserError
@@ -340,12 +342,6 @@ def outcomes_without_settings(
     def with_options(dives: "Sequence[ReplayJob]", **changes: object) -> "list[ReplayJob]":
         changed = replace(dives[0].options, require_fit=False, **changes)  # type: ignore[arg-type]
         return [replace(dive, options=changed) for dive in dives]
-
-    def needs_settings(outcome: "Outcome") -> bool:
-        # No settings help where the result cannot be written, or where the process ends.
-        error, target = outcome.result, str(outcome.job.target)
-        is_lost = isinstance(error, WorkerLostError)
-        return isinstance(error, UserError) and not (is_lost or str(error).startswith(target))
 
     def stored_report(dive: "ReplayJob", config: "Config | None") -> "Report | None":
         if config is None:
@@ -367,11 +363,11 @@ def outcomes_without_settings(
     # Settings that were found for other dives than these are found again, and replace those.
     force = force or all(not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True))
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
-    if not needs_settings(first):
+    if not _needs_settings(first):
         yield first
         others = list["ReplayJob"]()
         for outcome in outcomes_as_planned(dives[1:], jobs, None, force=force, rerun=rerun) if dives[1:] else ():
-            if needs_settings(outcome):
+            if _needs_settings(outcome):
                 others.append(outcome.job)
             else:
                 yield outcome
@@ -395,6 +391,39 @@ def outcomes_without_settings(
     yield from outcomes_as_planned(found_for, jobs, None, force=force, rerun=rerun)
 
 
+def _needs_settings(outcome: "Outcome") -> bool:
+    """Return whether other settings may help: not where the result cannot be written, or where the process ends."""
+    from insdvl_replay.batch.workers import WorkerLostError
+    from insdvl_replay.core.errors import UserError
+
+    error, target = outcome.result, str(outcome.job.target)
+    is_lost = isinstance(error, WorkerLostError)
+    return isinstance(error, UserError) and not (is_lost or str(error).startswith(target))
+
+
+def _with_search_hint(outcome: "Outcome", hint: str) -> "tuple[Outcome, str]":
+    """Return an outcome whose error has a hint if other settings may help, and a line if its settings may not fit."""
+    from insdvl_replay.core.errors import UserError
+    from insdvl_replay.core.result import Report
+    from insdvl_replay.logs.formats.recording import open_recording
+    from insdvl_replay.preparation.run import MISREAD, MOST_NIS
+    from insdvl_replay.show.dive import values_of
+
+    found = outcome.result
+    if isinstance(found, UserError) and _needs_settings(outcome):
+        with suppress(OSError, UserError):
+            open_recording(outcome.job.logs, allow_damaged=True)  # else settings do not help
+            hints = "; or ".join(filter(None, (found.hint, hint)))
+            outcome = replace(outcome, result=type(found)(found.what, hints, *found.where))
+    elif isinstance(found, Report):
+        # As `require_fit_of`: nobody has chosen the noise of the sensors of a dive that is not simulated.
+        is_simulated = any(channel.role == "truth" for channel in found.log.channels)
+        is_misread = not MISREAD.isdisjoint(note.code for note in found.notes)
+        if is_misread or not is_simulated or values_of(found, found.baseline)["nis_per_dof"] > MOST_NIS:
+            return outcome, f"hint: these settings may not fit {found.log.name}: {hint}"
+    return outcome, ""
+
+
 def outcomes(
     dives: "Sequence[ReplayJob]",
     jobs: int,
@@ -402,9 +431,11 @@ def outcomes(
     *,
     force: bool,
     rerun: bool,
+    quiet: bool = False,
     lake: Path | None = None,
 ) -> "Generator[Outcome, None, None]":
     """Replay what has changed, and show the progress on a terminal. All results are written into the lake."""
+    from insdvl_replay.cli.messages import log_to_stderr
     from insdvl_replay.results.folder import add_to_lake, require_lake
 
     if lake is not None:
@@ -413,9 +444,16 @@ def outcomes(
     settled = [dive for dive in dives if dive not in needing]
     parts = [outcomes_as_planned(settled, jobs, scheduler, force=force, rerun=rerun)] if settled else []
     parts += [outcomes_without_settings(needing, jobs, force=force, rerun=rerun)] if needing else []
+    is_said = quiet
     for replays in parts:
         with closing(replays):
             for outcome in replays:
+                if option := outcome.job.options.blocked_by:
+                    hint = f"run without {option} first; then use its vehicle.toml with -c"
+                    outcome, line = _with_search_hint(outcome, hint)
+                    if line and not is_said:
+                        log_to_stderr(line)
+                        is_said = True
                 if lake is not None and not isinstance(outcome.result, Exception):
                     add_to_lake(lake, outcome.result)
                 yield outcome

@@ -1,6 +1,7 @@
 """``run --against``: one command replays before and after a change of settings, and says whether it helped."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -68,6 +69,26 @@ def test_exit_codes_are_those_of_compare(
     printed = capsys.readouterr()
     assert printed.out.startswith("dvl.scale 1.0 -> 1.1: dive_1, "), "the others are compared"
     assert printed.err.count("broken.mcap") == 1
+
+
+@pytest.mark.parametrize("option", [["--against", "dvl.scale=1.1"], ["--control"]])
+def test_where_settings_are_needed_the_hint_says_how_they_are_found(
+    option: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    simulated = simulate_dive("figure-eight", seed=1, duration_s=60.0)
+    logs = {"simulated": simulated, "real": replace(simulated, truth=None), "alone": replace(simulated, reference=None)}
+    (tmp_path / "vehicle.toml").write_text("[dvl]\n")
+    said = dict[str, str]()
+    for name, dive in logs.items():
+        write_dive(tmp_path / f"{name}.mcap", dive)
+        for settings in ([], ["-c", str(tmp_path / "vehicle.toml")]):
+            output = tmp_path / f"{name}{len(settings)}"
+            run_command_line(["run", str(tmp_path / f"{name}.mcap"), "-o", str(output), *ONE_START, *settings, *option])
+            said[output.name] = capsys.readouterr().err
+    hint = f"run without {option[0]} first; then use its vehicle.toml with -c"
+    assert {name for name, text in said.items() if hint in text} == {"real0", "alone0"}
+    assert f"hint: these settings may not fit real: {hint}\n" in said["real0"]
+    assert f"; or {hint}\n" in said["alone0"]
 
 
 @pytest.mark.parametrize(
