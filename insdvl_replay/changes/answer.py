@@ -17,9 +17,9 @@ from insdvl_replay.changes.cells import is_number, paired_rows
 from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, DRIFT_QUANTITIES, FEWEST_DIVES
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import Verdict
+from insdvl_replay.core.words import EvidenceVerdict, Verdict
 from insdvl_replay.evaluation import answers
-from insdvl_replay.evaluation.answers import AGAINST, pooled_candidate, pooled_sentence, verdict_of
+from insdvl_replay.evaluation.answers import AGAINST, may_decide, pooled_candidate, pooled_sentence, verdict_of
 from insdvl_replay.evaluation.series import paired_ratio, verdict_of_interval
 from insdvl_replay.evaluation.verdicts import reason_not_evaluated
 from insdvl_replay.results.folder import TRAJECTORY_FILE
@@ -101,7 +101,12 @@ def answers_of(pairs: Sequence[tuple[StoredResult, StoredResult]]) -> tuple[Answ
             largest_change=max(sizes, default=0.0 if same_tables else math.inf),
         )
         if answer.is_same and not answer.lost:
-            answer = replace(answer, verdict=Verdict.EQUIVALENT, sentence=f"{name} {answer.sameness}.")
+            is_same = finite(answer.largest_change) == 0.0
+            rows = tuple(
+                replace(row, verdict=EvidenceVerdict.EQUIVALENT) if is_same or may_decide(row) else row
+                for row in answer.rows
+            )
+            answer = replace(answer, verdict=Verdict.EQUIVALENT, sentence=f"{name} {answer.sameness}.", rows=rows)
         elif len(own) == len(evaluated) == 1:
             over_time = tuple(_over_one_dive(name, *own[0]))
             rows = (*over_time, *(row for row in pooled.rows if row.quantity not in _OVER_TIME))

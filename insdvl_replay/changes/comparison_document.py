@@ -188,8 +188,8 @@ def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
             ]
             plots.append(by_dive_forest(answer.by_dive[0].quantity if answer.by_dive else "", rows))
         sections.append(section(answer, [sentence], plots))
-    several = any(answer.dives > 1 for answer in answers)
-    page = first_screen(sections, f"Here new is over old.{' All dives: each is one sample.' if several else ''}")
+    caption = "All dives: each is one sample." if any(answer.dives > 1 for answer in answers) else ""
+    page = first_screen(sections, caption, compared=("new result", "old one"))
     return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]
 
 

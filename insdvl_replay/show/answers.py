@@ -256,7 +256,9 @@ def baseline_names(reports: Sequence[Report]) -> str:
     return " or ".join(sorted({report.baseline for report in reports}))
 
 
-def verdict_counts(name: str, reports: Sequence[Report]) -> str:
-    """Count the dives with each verdict on a candidate."""
+def verdict_counts(name: str, reports: Sequence[Report], together: str = "") -> str:
+    """Count the dives with each verdict on a candidate, next to that of all together, which may decide alone."""
     words = Counter(report.filters[name].verdict for report in reports if name in report.filters)
-    return ", ".join(f"{count} {shouted(word)}" for word, count in words.most_common())
+    counts = ", ".join(f"{count} {shouted(word)}" for word, count in words.most_common())
+    is_decided = together in (Verdict.BETTER, Verdict.WORSE, Verdict.EQUIVALENT)
+    return f"{counts} (one dive may not tell, all together do)" if is_decided and words[Verdict.UNDECIDED] else counts

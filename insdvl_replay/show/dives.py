@@ -197,7 +197,8 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     pooled, names = pooled_answers(reports), candidate_names(reports)
     compared = f": {', '.join(names)} against {reports[0].baseline}" if 0 < len(names) <= MOST_NAMED else ""
     yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
-    found = "; ".join(f"{name}: {verdict_counts(name, reports)}" for name in names)
+    verdicts = {answer.filter: answer.verdict for answer in pooled}
+    found = "; ".join(f"{name}: {verdict_counts(name, reports, verdicts.get(name, ''))}" for name in names)
     callouts = [Callout(pooled_sentence(answer), TONES.get(answer.verdict, "")) for answer in pooled]
     callouts += [Callout(f"Dive by dive, against the baseline: {found}.")] if found else []
     yield Only(PRINTED, tuple(callouts))
@@ -217,7 +218,7 @@ _MOST_ROWS: Final = 8  # Evidence rows of the forest plot of all dives.
 
 
 def _section(answer: CandidateAnswer[PooledRow], reports: Sequence[Report], *, linked: bool) -> str:
-    counts = f"Dive by dive: {verdict_counts(answer.filter, reports)}."
+    counts = f"Dive by dive: {verdict_counts(answer.filter, reports, answer.verdict)}."
     dives = dives_forest(answer, reports, linked=linked)
     if answer.verdict == Verdict.NOT_EVALUATED:
         said = f"Evaluated on {answer.evaluated} of {answer.dives} dives. Settle the reasons of the others first."

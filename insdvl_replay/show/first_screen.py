@@ -143,20 +143,24 @@ def _mark(ratio: float, interval: Sequence[float], middle: float, end: float) ->
 
 # How to read the forest plots.
 READING: Final = (
-    "Ratio: error of the candidate over that of the baseline, with its 95 % interval. Left of 1 is better. Shaded: "
-    "within 5 %. Open dot: undecided. Bold: named in the sentence."
+    "Ratio: error of the {} over that of the {}, with its 95 % interval. Left of 1 is better. Shaded: within 5 %. Open "
+    "dot: undecided. Bold: named in the sentence."
 )
 MOST_DIVES: Final = 20  # With more dives, those with the largest effects are drawn.
 DIVE_PAGE: Final = "report.html"  # The page of a dive, in its folder.
 
 
 def first_screen(
-    sections: Sequence[str], caption: str, pictures: str = "", tables: Sequence[DisplayTable] = ()
+    sections: Sequence[str],
+    caption: str,
+    pictures: str = "",
+    tables: Sequence[DisplayTable] = (),
+    compared: tuple[str, str] = ("candidate", "baseline"),
 ) -> Html:
     """Return sections of candidates with tables below and pictures next to them, and a caption."""
     aside = f'<div class="aside">{pictures}</div>' if pictures else ""
-    reading = f"{READING} " if any("<svg" in section for section in sections) else ""
-    note = f'<p class="footnote">{unbroken(f"{reading}{caption}")}</p>'
+    reading = READING.format(*compared) if any("<svg" in section for section in sections) else ""
+    note = f'<p class="footnote">{unbroken(f"{reading} {caption}".strip())}</p>'
     shown = "".join([*sections, *map(table_html, tables)])
     return Html(f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}')
 

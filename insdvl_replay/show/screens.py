@@ -224,16 +224,16 @@ FAILED: Final = GateStatus.FAILED  # Printed instead of a verdict.
 def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     """Return the screen of several dives, in the order of the logs, whose page is at ``index``."""
     reports = reports_of(outcomes)
-    answers, names = answers_of(reports), candidate_names(reports)
+    answers = answers_of(reports)
     pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
-    counts = "; ".join(f"{name} {verdict_counts(name, reports)}" for name in names)
+    said = [f"{answer.filter} {verdict_counts(answer.filter, reports, answer.verdict)}" for answer in answers]
     return [
         Title(_facts_of_dives(outcomes)),
         *_answer_parts(answers),
         *(part for table in _evidence_table(pooled, "all dives", "over dives") for part in (Sentences(()), table)),
         Sentences(()),
         _dives_table(outcomes, {answer.filter: answer for answer in pooled}) if answers else table_alone(outcomes),
-        *([f"dive by dive, by all evidence: {counts}"] if counts else []),
+        *([f"dive by dive, by all evidence: {'; '.join(said)}"] if said else []),
         *_consistency_counts(reports),
         Code(f"all tables: -v   page: {index}", ""),
     ]

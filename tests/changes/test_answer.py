@@ -69,6 +69,7 @@ def test_no_effect_or_one_below_1_percent_is_equivalent(size: float, dives: int,
     """Even a change that all dives have to the digit."""
     found = answers(tmp_path, [dict.fromkeys(QUANTITIES, 1.0 + size)] * dives)
     assert {answer.verdict for answer in found} == {"equivalent"}
+    assert {row.verdict for answer in found for row in answer.rows} == {"equivalent"}
 
 
 def test_an_error_from_zero_is_no_small_change(tmp_path: Path) -> None:
@@ -195,6 +196,7 @@ def test_a_page_has_a_forest_plot_of_each_filter(tmp_path: Path) -> None:
     assert page.count('<section class="candidate worse">') == 2
     assert page.count('<section class="forest">') == 4, "the evidence, and the dives one by one, of each filter"
     assert "larger in 8 of 8" not in page, "the line of the screen is not repeated"
+    assert "Ratio: error of the new result over that of the old one, with" in page
 
 
 # --- How often the answer is right, on simulated dives.

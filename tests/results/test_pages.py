@@ -77,6 +77,15 @@ def test_index_starts_with_the_word_the_sentence_and_both_forests() -> None:
     assert rows[-3:] == ["dive20.78 better", "dive30.80 better", "dive10.82 better"], "the smallest ratio first"
 
 
+def test_index_says_why_all_dives_decide_where_one_does_not() -> None:
+    dives = []
+    for found in dives_of_ratios(0.82, 0.78, 0.8):
+        undecided = msgspec.structs.replace(found.filters["aided"], verdict="undecided")
+        dives.append(msgspec.structs.replace(found, filters={"aided": undecided}))
+    word, *_, counts = Document(index_page(dives).decode()).texts["p"][:5]
+    assert (word, counts) == ("BETTER", "Dive by dive: 3 undecided (one dive may not tell, all together do).")
+
+
 def test_index_of_two_dives_draws_no_interval_and_says_why() -> None:
     document = Document(index_page(dives_of_ratios(0.9, 0.7)).decode())
     (pooled, _), *dives = forest_rows(document)
