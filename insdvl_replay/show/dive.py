@@ -181,7 +181,8 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
             begun = "One start without error, so the gain after an error of the start is not measured (--starts 16)."
             if starts > 1:
                 begun = f"Values: this dive, from its own start. Ratio of accuracy: over {starts} random starts."
-                if not any(row.evidence == "convergence" or row.quantity in OF_STARTS for row in rows):
+                of_starts = any(row.evidence == "convergence" or row.quantity in OF_STARTS for row in rows)
+                if not (of_starts or of_filter(name, report.tables.outage)):
                     begun += " A recorded solution has one start: low and high allow for the scatter of starts."
             return (
                 f"{begun} low, high: 95 % interval on this dive; other dives may differ by more. p below 0.01 decides. "
