@@ -9,14 +9,16 @@ import contextlib
 import os
 import pickle
 import queue
+import select
 import signal
+import struct
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -29,6 +31,8 @@ from insdvl_replay.preparation.solution_files import LONGEST_LINE, checked_solut
 
 TIMEOUT_S: Final = 600.0
 LONGEST_OUTPUT: Final = 1 << 16  # bytes of stdout, and of stderr, that are kept of one run
+LONGEST_PART: Final = 1 << 20  # bytes of an answer that are read at once
+MARK, HEADER = b"solution", struct.Struct("<8sQ")  # before each answer of a class: that it is one, and its length
 DIVE_FILES: Final = {"class": "{}.pickle", "clean": "{}.mcap", "log": "{}_log.mcap"}  # by input, of a dive's name
 _TOPICS: Final = {"/pressure": "depth", "/ahrs": "heading", "/gnss": "position"}  # as `logs.write_dive` writes them
 Process = subprocess.Popen[bytes]
@@ -85,29 +89,47 @@ class UserProcesses:
             path = os.pathsep.join(entry or "." for entry in sys.path)
             command = [sys.executable, "-P", "-u", "-c", f"from {__name__} import run_class; run_class()", word]
             process = self._started(command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path})
-        assert process.stdin is not None
-        assert process.stdout is not None
-        began_s, limit = time.monotonic(), threading.Timer(self.timeout_s, _kill, [process])
-        limit.start()
-        answer: Solution | Exception | None = None
-        code = 0
         try:
-            pickle.dump((dive_file, start), process.stdin)
-            process.stdin.flush()
-            answer = pickle.load(process.stdout)
-        except (EOFError, OSError, pickle.UnpicklingError):
-            code = process.wait()
-        finally:
-            limit.cancel()
-        is_late = time.monotonic() - began_s >= self.timeout_s
-        if is_late or answer is None:
+            answer = self._answer(process, (dive_file, start))
+        except CandidateError:
             self._end(process)
-            raise CandidateError(self.too_late if is_late else _ended(code))
+            raise
         self._idle.put(process)
         if isinstance(answer, Exception):
             raise answer
         solution: Solution = answer
         return solution
+
+    def _answer(self, process: Process, question: object) -> Any:
+        """Return what the process of a class answers; what it has started may hold the pipe open."""
+        assert process.stdin is not None
+        assert process.stdout is not None
+        until_s, answer, size = time.monotonic() + self.timeout_s, bytearray(), HEADER.size
+        ready = select.poll()
+        ready.register(process.stdout, select.POLLIN)
+        with contextlib.suppress(BrokenPipeError):  # its end is read below
+            process.stdin.write(pickle.dumps(question))
+            process.stdin.flush()
+        try:
+            while len(answer) < size:
+                left_s = until_s - time.monotonic()
+                if left_s <= 0.0 or self._is_stopped.is_set():
+                    raise CandidateError(self.too_late)
+                if ready.poll(1000.0 * min(left_s, 1.0)):
+                    part = os.read(process.stdout.fileno(), LONGEST_PART)
+                    if not part:
+                        raise CandidateError(_ended(process.wait(left_s)))
+                    answer += part
+                elif process.poll() is not None:
+                    raise CandidateError(_ended(process.returncode))
+                if len(answer) >= HEADER.size:
+                    mark, length = HEADER.unpack_from(answer)
+                    size = HEADER.size + length
+                    if mark != MARK:
+                        raise CandidateError("wrote into the pipe of its answer")
+            return pickle.loads(memoryview(answer)[HEADER.size :])
+        except subprocess.TimeoutExpired as error:
+            raise CandidateError(self.too_late) from error
 
     def _started(
         self, words: list[str], name: str, pipe: int | None = None, env: Mapping[str, str] | None = None
@@ -129,7 +151,8 @@ class UserProcesses:
 
     def _end(self, process: Process) -> None:
         """End a process, and what it has started and left behind."""
-        _kill(process)
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         for stream in filter(None, (process.stdin, process.stdout)):
             with contextlib.suppress(OSError):
@@ -147,11 +170,6 @@ class UserProcesses:
         """Everything that its runs have printed."""
         texts = {path.name: text for path in sorted(self.folder.glob("*std*")) if (text := _tail(path))}
         return "".join(text if name == "stderr" else f"--- {name}\n{text}" for name, text in texts.items())
-
-
-def _kill(process: Process) -> None:
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _ended(code: int) -> str:
@@ -187,7 +205,8 @@ def run_class() -> None:
                 answer = solution_of_class(sys.argv[1], dive_file, start)
             except (CandidateError, ConfigError) as error:
                 answer = error
-            answers.write(pickle.dumps(answer))
+            content = pickle.dumps(answer)
+            answers.write(HEADER.pack(MARK, len(content)) + content)
             answers.flush()
 
 

@@ -22,6 +22,7 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution, misalignment_cov
 
 MOST_COVARIANCES: Final = 20_000  # of one solution, evenly chosen
+NO_ROTATION: Final = 0.01  # largest error of C C^T
 SAME_TIME_NS: Final = NS_PER_S  # from the start within which a solution begins there
 LONGEST_LINE: Final = 200  # letters of what others wrote in a message
 VELOCITY: Final = ("velocity_n_mps", "velocity_e_mps", "velocity_d_mps")
@@ -71,6 +72,12 @@ def checked_solution(solution: Solution) -> Solution:
             wrong(f"{MOTION[name]} that are not finite in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
         if name.endswith("cov") and np.any(np.diagonal(values, axis1=1, axis2=2) < 0.0):
             wrong(f"{name} with negative variances")
+    if (mat_nb := columns.get("mat_nb")) is not None:
+        with np.errstate(over="ignore", invalid="ignore"):
+            off = np.abs(mat_nb @ np.swapaxes(mat_nb, 1, 2) - np.eye(3)).max(axis=(1, 2))
+            bad = np.flatnonzero(~(off <= NO_ROTATION) | (np.linalg.det(mat_nb) < 0.0))
+        if len(bad):
+            wrong(f"attitudes that are no rotations in {len(bad)} of {len(time_ns)} rows, the first is row {bad[0]}")
     if not set(columns) & set(MOTION):
         wrong("no position, no velocity and no attitude")
     if "innovation_b" in columns and "innovation_cov" not in columns:

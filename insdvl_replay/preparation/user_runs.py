@@ -7,6 +7,7 @@ the pings of every third window. The baseline runs over the same dives, so that 
 
 import hashlib
 import pickle
+import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -85,19 +86,17 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
     outages, printed = dict[str, OutageRuns](), dict[str, str]()
     # What a program has started may still write into it.
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-", ignore_cleanup_errors=True) as folder:
-        candidates = [_Candidate(*item, Path(folder), plan) for item in config.user_candidates.items()]
-        inputs = {candidate.processes.input for candidate in candidates}
-        for test in (whole, *outage_dives):
-            files = {kind: Path(folder, name.format(test.name)) for kind, name in DIVE_FILES.items()}
-            if "clean" in inputs:
-                write_dive(files["clean"], test.dive, is_compressed=False)
-            if "class" in inputs:
-                files["class"].write_bytes(pickle.dumps(test.dive))
-            if "log" in inputs and dive.paths:
-                copy_log(files["log"], dive.paths, held_back_messages(dive.paths, config, test.absent))
-        for candidate in candidates:
-            name = candidate.name
+        for name, settings in config.user_candidates.items():
             report_stage(f"running {name}")
+            candidate = _Candidate(name, settings, Path(folder, name), plan)
+            for test in (whole, *outage_dives):  # each candidate has files of its own: it may change or remove them
+                file, kind = candidate.file(test), candidate.processes.input
+                if kind == "clean":
+                    write_dive(file, test.dive, is_compressed=False)
+                elif kind == "class":
+                    file.write_bytes(pickle.dumps(test.dive))
+                elif dive.paths:
+                    copy_log(file, dive.paths, held_back_messages(dive.paths, config, test.absent))
             try:
                 found = candidate.runs(whole, starts, part, outage_dives, windows)
             except CandidateError as error:
@@ -110,6 +109,7 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
             outages |= {} if found.outages is None else {name: found.outages}
             notes += found.notes
             printed |= {name: text} if (text := candidate.processes.printed) else {}
+            shutil.rmtree(candidate.folder, ignore_errors=True)
     return replace(
         runs, histories=tuple(histories), drawn=tuple(drawn), notes=tuple(notes), user_outages=outages, printed=printed
     )
@@ -120,7 +120,11 @@ class _Candidate:
 
     def __init__(self, name: str, settings: Filter, folder: Path, plan: RunPlan) -> None:
         self.name, self.plan, self.folder = name, plan, folder
-        self.processes = UserProcesses(settings, folder / name)
+        self.processes = UserProcesses(settings, folder)
+
+    def file(self, test: GivenDive) -> Path:
+        """Return the file of a dive that it is given."""
+        return self.folder / DIVE_FILES[self.processes.input].format(test.name)
 
     def history(self, test: GivenDive, run: str, start: Start) -> tuple[History, tuple[Note, ...], str]:
         """Run it over a dive; return its history, notes, and a digest of its solution."""
@@ -131,7 +135,7 @@ class _Candidate:
             dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
             position_sd_m=np.array(alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)),
         )
-        dive_file = self.folder / DIVE_FILES[self.processes.input].format(test.name)
+        dive_file = self.file(test)
         if not dive_file.exists():
             raise CandidateError("cannot be run: its input is the log, and the dive has no file")
         solution = self.processes.run(run, dive_file, given)

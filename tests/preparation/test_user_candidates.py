@@ -1,5 +1,6 @@
 """Filters of the user's: a program or a class gets the evidence of any candidate, and its failures change no other."""
 
+import contextlib
 import json
 import os
 import re
@@ -258,6 +259,15 @@ def test_what_a_program_has_started_ends_with_it(end: str, dive: Dive, tmp_path:
     assert not child.exists() or child.read_text().split()[2] == "Z"
 
 
+def test_a_program_cannot_change_the_dive_of_others(dive: Dive, written: Path, tmp_path: Path) -> None:
+    filters = dict(FILTERS)
+    for name, script in (("mine", "dive.write_bytes(b'')"), ("other", "sys.exit(not dive.read_bytes())")):
+        (tmp_path / name).mkdir()
+        filters[name] = program(tmp_path / name, f"{copying(written)}{script}")
+    verdicts = replay_dive(dive, Config(filters=filters, evaluation=Evaluation(starts=1))).verdicts
+    assert {verdicts[name].verdict for name in ("mine", "other")} == {Verdict.EQUIVALENT}
+
+
 def test_a_program_that_is_not_there(dive: Dive) -> None:
     replay = replay_dive(dive, config(Filter(program=("./nowhere", "{dive}", "{solution}"))))
     assert "cannot be started: ./nowhere: No such file" in replay.verdicts["mine"].sentence
@@ -303,6 +313,28 @@ class OwnSolution(Solution):
     """A kind of solution that only the module of the class knows."""
 
 
+class Daemon(Candidate):
+    """A class that leaves a process behind, which keeps its pipes open and is in no group of the tool."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Leave it, and end."""
+        if os.fork() == 0:
+            os.setsid()
+            time.sleep(20.0)
+        os._exit(7)
+
+
+class Writing(Candidate):
+    """A class that writes wherever it can."""
+
+    def run(self, dive: Dive, start: CandidateStart) -> Solution:
+        """Write, and return nothing that is read."""
+        for descriptor in range(3, 30):
+            with contextlib.suppress(OSError):
+                os.write(descriptor, b"anything, which is longer than a header")
+        raise AssertionError
+
+
 class Deriving(Baseline):
     """A class that returns its own kind of solution."""
 
@@ -325,6 +357,7 @@ class Unfinished(Candidate):
         ("Failing", "test_user_candidates.py: ZeroDivisionError: here", "before\n"),
         ("Leaving", "ended with exit code 7", "to the descriptor\n"),
         ("Unfinished", "returns NoneType, not Solution", ""),
+        ("Writing", "wrote into the pipe of its answer", ""),
     ],
 )
 def test_a_class_that_fails(
@@ -342,6 +375,13 @@ def test_a_class_that_hangs_is_ended(dive: Dive, alone: Replay) -> None:
     assert "mine did not end within 0.5 s" in replay.verdicts["mine"].sentence
     assert replay.verdicts["mine"].verdict == Verdict.NOT_EVALUATED
     assert rows_of_others(replay) == rows_of_others(alone)
+
+
+def test_a_process_that_a_class_left_behind_is_not_waited_for(dive: Dive) -> None:
+    began_s = time.monotonic()
+    replay = replay_dive(dive, config(Filter(candidate=f"{__name__}:Daemon")))
+    assert "mine ended with exit code 7" in replay.verdicts["mine"].sentence
+    assert time.monotonic() - began_s < 15.0
 
 
 def test_a_class_may_return_its_own_kind_of_solution(dive: Dive, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -573,6 +613,7 @@ def test_files_that_are_no_solutions(content: bytes, reason: str, dive: Dive, tm
         ({"cov": np.broadcast_to(np.eye(9), (3, 9, 9)), "cov_ns": np.array([0.0, 1.0, 2.0])}, "cov_ns that are not"),
         ({"cov": np.broadcast_to(-np.eye(9), (3, 9, 9))}, "cov with negative variances"),
         ({"innovation_b": np.zeros((3, 3))}, "innovations without their covariance"),
+        ({"mat_nb": np.multiply.outer([1.0, -1.0, 2.0], np.eye(3))}, "no rotations in 2 of 3 rows, the first is row 1"),
     ],
 )
 def test_columns_that_make_no_sense(changes: dict[str, np.ndarray], reason: str) -> None:
