@@ -4,6 +4,8 @@ A mistake in the user's code is a `CandidateError`. Its candidate is then not ev
 """
 
 from dataclasses import replace
+from functools import reduce
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -24,7 +26,7 @@ from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.states import DEG
 from insdvl_replay.evaluation.reference_errors import WELL_COVERED
 from insdvl_replay.geometry.frames import north_east_m
-from insdvl_replay.geometry.rotation import vector_from_mat
+from insdvl_replay.geometry.rotation import mat_from_vector, vector_from_mat
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.user_candidate import CandidateError, Solution
@@ -53,7 +55,7 @@ def history_of_candidate(
     key = f"filters.{name}"
     columns = _columns(solution, start, start_ns, int(baseline.time_ns[-1]))
     history, _, notes = recorded_history(name, columns, SolutionSettings(), imu, baseline, evaluated_ns, key)
-    _require_this_dive(history, baseline, solution.time_ns[0])
+    _require_this_dive(history, baseline, imu, solution.time_ns[0])
     met = _innovations(solution, velocities)
     return replace(history, has_own_start=False, innovations=() if met is None else (met,)), notes
 
@@ -94,10 +96,10 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
     return SolutionColumns(ReferenceColumns(motion_ns, **columns), None, cov_ns, cov)
 
 
-def _require_this_dive(history: History, baseline: History, first_ns: int) -> None:
+def _require_this_dive(history: History, baseline: History, imu: ImuColumns, first_ns: int) -> None:
     """Require that a solution covers the replay, begins where the baseline is, and turns and moves as that does.
 
-    Before its own first row it has the start.
+    Before its own first row it has the start. Where the baseline turns otherwise than the gyros, these decide.
     """
     columns = {"position": history.position[:, 0], "velocity_n": history.velocity_n[:, 0]}
     columns["mat_nb"] = history.mat_nb[:, 0, 0]
@@ -127,11 +129,21 @@ def _require_this_dive(history: History, baseline: History, first_ns: int) -> No
         since_s = seconds(history.time_ns[rows], history.time_ns[0])
         rows = rows[np.unique(np.searchsorted(since_s, np.arange(0.0, since_s[-1], COMPARED_S)))]
         own, other = (np.swapaxes(run.mat_nb[rows[:-1]], 1, 2) @ run.mat_nb[rows[1:]] for run in (history, baseline))
-        off_deg = np.linalg.norm(vector_from_mat(np.swapaxes(other, 1, 2) @ own), axis=1) / DEG
-        if len(off_deg) and (rms_deg := float(np.sqrt(np.mean(off_deg**2)))) > LARGEST_TURN_DEG:
-            reason = f"its turns in {COMPARED_S:g} s differ from the gyros' by {rms_deg:.2g} deg (rms)"
+        if _apart_deg(own, other) > LARGEST_TURN_DEG:
+            rate_b = 0.5 * (imu.angular_rate_b[1:] + imu.angular_rate_b[:-1])
+            steps = mat_from_vector(rate_b * seconds(imu.time_ns[1:], imu.time_ns[:-1])[:, None])
+            samples = pairwise(np.searchsorted(imu.time_ns, history.time_ns[rows]))
+            by_gyros = np.array([reduce(np.matmul, steps[first:last], np.eye(3)) for first, last in samples])
+            if (rms_deg := _apart_deg(own, by_gyros)) > LARGEST_TURN_DEG:
+                reason = f"its turns in {COMPARED_S:g} s differ from the gyros' by {rms_deg:.2g} deg (rms)"
     if reason:
         raise CandidateError(f"gives a solution that is not of this dive: {reason}")
+
+
+def _apart_deg(own: Floats, other: Floats) -> float:
+    """Return the rms angle between turns, shape (k, 3, 3); 0 of none."""
+    off_deg = np.linalg.norm(vector_from_mat(np.swapaxes(other, 1, 2) @ own), axis=1) / DEG
+    return float(np.sqrt(np.mean(off_deg**2))) if len(off_deg) else 0.0
 
 
 def _innovations(solution: Solution, velocities: DvlVelocities) -> Innovations | None:

@@ -23,12 +23,13 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import EvidenceRow, each_table
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.geometry.frames import moved_position, north_east_down_m, quat_enu_flu
-from insdvl_replay.geometry.rotation import rpy_from_mat
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.write import components, stamped, write_log
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.user_candidate import Candidate, CandidateError, CandidateStart, Solution
 from insdvl_replay.nav.user_measurement import load_class
+from insdvl_replay.preparation.candidates import history_of_candidate
 from insdvl_replay.preparation.programs import run_as_program
 from insdvl_replay.preparation.solution_files import ATTITUDE, POSITION, VELOCITY, checked_solution, read_solution
 from insdvl_replay.replay import Replay, replay_dive, replay_log
@@ -280,6 +281,20 @@ def test_the_solution_of_another_dive(scenario: str, dive: Dive, tmp_path: Path)
     write_solution(tmp_path / "other.csv", Solution(run.time_ns, run.position, run.velocity_n, run.mat_nb))
     replay = replay_dive(dive, config(program(tmp_path, copying(tmp_path / "other.csv"))))
     assert "not of this dive" in replay.verdicts["mine"].sentence
+
+
+def test_a_solution_that_turns_as_the_gyros_is_of_this_dive_though_the_baseline_does_not(
+    dive: Dive, alone: Replay
+) -> None:
+    own, velocities = alone.histories[0], dvl_velocities(dive.dvl)
+    heading = np.linspace(0.0, 6.0, len(own.time_ns))
+    turning = mat_from_rpy(np.column_stack([0.0 * heading, 0.0 * heading, heading])) @ own.mat_nb
+    right, wrong = (Solution(own.time_ns, own.position, own.velocity_n, mat_nb) for mat_nb in (own.mat_nb, turning))
+    start, none = start_of(dive), own.time_ns[:0]
+    bad_baseline = replace(own, mat_nb=turning)
+    history_of_candidate("mine", right, start, start.time_ns, dive.imu, velocities, bad_baseline, none)
+    with pytest.raises(CandidateError, match="its turns in 10 s differ from the gyros' by 16 deg"):
+        history_of_candidate("mine", wrong, start, start.time_ns, dive.imu, velocities, own, none)
 
 
 class Failing(Candidate):
