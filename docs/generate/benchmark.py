@@ -112,10 +112,12 @@ class Cell:
         return spoken_rows(self.answer) if self.answer else []
 
     @property
-    def rank(self) -> tuple[tuple[float, ...], str]:
-        """By verdict, then by ratio; cells without a verdict come last."""
-        verdict = BEST_FIRST.index(self.answer.verdict) if self.answer else len(BEST_FIRST)
-        return (verdict, *(finite(row.ratio) for row in self.rows)), self.candidate
+    def rank(self) -> tuple[int, float, str]:
+        """By verdict, then by the first evidence, which is the same for all; cells without a verdict come last."""
+        if self.answer is None:
+            return len(BEST_FIRST), 0.0, self.candidate
+        ratio = next((finite(row.ratio) for row in self.answer.known), 0.0)
+        return BEST_FIRST.index(self.answer.verdict), ratio, self.candidate
 
     @property
     def dives(self) -> int:
