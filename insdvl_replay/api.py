@@ -353,6 +353,7 @@ def check(
     """
     from insdvl_replay.batch.dive_paths import find_dives
     from insdvl_replay.batch.jobs import ReplayOptions, checked_dives, known_reports, replay_jobs
+    from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.changes.formats import check_result
     from insdvl_replay.changes.gate_file import load_gates
     from insdvl_replay.changes.gates import evaluate_gates
@@ -362,13 +363,15 @@ def check(
     files = [base / found.content.config] if found.content.config and config is None else []
     settings = config or _load_config(found.content.preset, files)
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
+    meant = find_dives(named, base, results=True)
+    own_files = {file for dive in meant if (file := dive.settings) is not None and config is None}
     checked = checked_dives(
         found,
-        find_dives(named, base, results=True),
+        fetch_dives(meant),
         Path(results),
         options,
         lambda jobs: replay_jobs(jobs, known_reports(jobs, force=True), None),
-        lambda own: config or _load_config(found.content.preset, [own, *files]),
+        {file: _load_config(found.content.preset, [file, *files]) for file in own_files},
     )
     return CommandResult(check_result(evaluate_gates(found, checked)))
 

@@ -4,7 +4,6 @@ import glob
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -24,19 +23,24 @@ BAG_METADATA: Final = "metadata.yaml"
 class FoundDive:
     """A dive that is meant, and what its manifest says of it."""
 
-    path: Path  # of a remote log, in the cache; its name alone where it was not fetched
+    path: Path  # of a remote log, in the cache once it is fetched; before, its name alone
     url: str = ""
+    sha256: str = ""  # that it must have
     settings: Path | None = None  # of this dive
     error: UserError | None = None  # why it cannot be used
+
+    @property
+    def name_giver(self) -> Path:
+        """The path after which the dive is named: of a remote log, host and path of its URL."""
+        return Path("/", *self.url.partition("://")[2].partition("?")[0].split("/")) if self.url else self.path
 
 
 def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
     """Return the settings that all dives have by their manifest; those of several vehicles are a ConfigError."""
     files = {dive.settings for dive in dives}
     if len(files) > 1:
-        raise ConfigError(
-            f"{command}: the dives have different settings", "choose dives of one vehicle: dives.toml#TAG"
-        )
+        hint = "choose dives of one vehicle: dives.toml#TAG"
+        raise ConfigError(f"{command}: the dives have different settings", hint)
     return files.pop() if files else None
 
 
@@ -48,10 +52,10 @@ def usable_paths(dives: Sequence[FoundDive]) -> list[Path]:
     return [dive.path for dive in dives]
 
 
-def find_dives(
-    names: Sequence[str], base: Path = Path(), *, results: bool = False, fetch: bool = True
-) -> list[FoundDive]:
+def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = False) -> list[FoundDive]:
     """Find the dives that are meant, in the order of the names, by name below a folder, and each once.
+
+    Nothing is fetched or digested here; `fetch_dives` does that.
 
     A name is one of these:
 
@@ -60,7 +64,7 @@ def find_dives(
     - a pattern with ``*``, ``?`` or ``**``;
     - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment;
     - a .toml manifest, ``dives.toml#TAG`` for its dives with a tag;
-    - a URL of a log, which is fetched into the cache, or with ``fetch`` false only named.
+    - a URL of a log.
 
     Hidden folders are left out. Where a folder or a pattern stands for logs that differ in their ending alone, they are
     one log before and after it was converted, and one of them is taken, .mcap first. Result folders are dives if
@@ -73,8 +77,11 @@ def find_dives(
     found: dict[str, FoundDive] = {}
     for name in names:
         try:
-            for dive in _meant(name, base, results=results, fetch=fetch):
-                found.setdefault(dive.url or os.path.realpath(dive.path), dive)
+            for dive in _meant(name, base, results=results):
+                first = found.setdefault(dive.url or os.path.realpath(dive.path), dive)
+                if (first.settings, first.sha256) != (dive.settings, dive.sha256):
+                    text = f"{dive.url or dive.path}: is listed twice, with different settings or digests"
+                    raise ConfigError(text, "leave one of them out")
         except (OSError, ValueError, RuntimeError) as error:  # too long, NUL in it, links in a circle
             reason = getattr(error, "strerror", None) or error
             raise ConfigError(f"{name}: is not a usable path: {reason}", "check the path") from error
@@ -85,20 +92,17 @@ def _natural(path: Path) -> tuple[NaturalKey, ...]:
     return tuple(map(natural_key, path.parts))
 
 
-def _meant(name: str, base: Path, *, results: bool, fetch: bool, lists: bool = True) -> list[FoundDive]:
+def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[FoundDive]:
     path, (listing, _, tag) = base / name, name.partition("#")
     manifest = base / listing
     if "://" in name:
-        from insdvl_replay.logs.formats.remote import fetched, remote_name
+        from insdvl_replay.logs.formats.remote import remote_name
 
-        try:
-            return [FoundDive(fetched(name) if fetch else remote_name(name), name)]
-        except UserError as error:
-            return [FoundDive(remote_name(name), name, error=error)]
+        return [FoundDive(remote_name(name), name)]
     if lists and manifest.suffix == MANIFEST_SUFFIX and manifest.is_file():
         from insdvl_replay.batch.manifest import manifest_dives
 
-        return manifest_dives(manifest, tag, fetch=fetch)
+        return manifest_dives(manifest, tag)
     if lists and path.suffix == LIST_SUFFIX and path.is_file():
         try:
             lines = [line.strip() for line in read_text(path).splitlines()]
@@ -106,8 +110,7 @@ def _meant(name: str, base: Path, *, results: bool, fetch: bool, lists: bool = T
             hint = "one path a line, UTF-8"
             raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", hint) from error
         chosen = [line for line in lines if line and not line.startswith("#")]
-        inside = partial(_meant, base=path.parent, results=results, fetch=fetch, lists=False)
-        found = [dive for line in chosen for dive in inside(line)]
+        found = [dive for line in chosen for dive in _meant(line, path.parent, results=results, lists=False)]
     else:
         found = [FoundDive(dive) for dive in _local(path, results=results)]
     if not found:

@@ -8,12 +8,13 @@ interrupted run goes on where it stopped. With measurements of the user's own ev
 import hashlib
 import os
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
@@ -46,8 +47,6 @@ from insdvl_replay.results.folder import (
 if TYPE_CHECKING:
     from insdvl_replay.changes.gate_file import Checked, Gates
 
-OwnConfig = Callable[[Path], Config] | None
-"""Resolves the settings of a dive that has some of its own."""
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
 DAMAGED_RESULT: Final = "result_damaged"
@@ -99,33 +98,30 @@ def plan_jobs(
     dives: Sequence[FoundDive],
     output: Path,
     options: ReplayOptions,
-    own_config: OwnConfig = None,
+    configs: Mapping[Path | None, Config] = MappingProxyType({}),  # by the file of settings of a dive's own
     *,
     one_dive: bool = False,
 ) -> list[ReplayJob]:
-    """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError.
-
-    ``own_config`` resolves the settings of the dives that have some of their own.
-    """
+    """Name each dive's result folder, below the output; two dives that would share a name are a ConfigError."""
     logs = [tuple(dive.path for dive in dives)] if one_dive else [(dive.path,) for dive in dives]
-    givers = [first for first, *_ in logs]
+    firsts, givers = [first for first, *_ in logs], [dive.name_giver for dive in dives]
+    files, errors = [dive.settings for dive in dives], [dive.error for dive in dives]
     if one_dive and len(dives) > 1:
         from insdvl_replay.logs import name_giver  # heavy
 
-        givers = [name_giver(logs[0])]
-        shared_settings(dives, "--one-dive")
-    errors = [next((dive.error for dive in dives if dive.error), None)] if one_dive else [dive.error for dive in dives]
-    own: dict[Path | None, ReplayOptions] = {}
-    for file in {dive.settings for dive in dives}:
-        if file is not None and own_config is not None:
-            own[file] = replace(options, config=own_config(file), require_fit=False, blocked_by="")
-    names = unique_names(givers)
+        firsts, givers = [name_giver(logs[0])], [name_giver(givers)]
+        files, errors = [shared_settings(dives, "--one-dive")], [next((error for error in errors if error), None)]
+    own: dict[Path | None, ReplayOptions] = {
+        file: replace(options, config=config, require_fit=False, blocked_by="")
+        for file, config in configs.items()
+        if file is not None
+    }
     return [
         ReplayJob(
-            log, giver, output / name, own.get(dive.settings, options),
+            log, first, output / name, own.get(file, options),
             replaces=os.path.lexists(output / name), error=error,
         )
-        for log, giver, name, dive, error in zip(logs, givers, names, dives, errors, strict=False)
+        for log, first, name, file, error in zip(logs, firsts, unique_names(givers), files, errors, strict=True)
     ]  # fmt: skip
 
 
@@ -133,15 +129,15 @@ def plan_both_sides(
     dives: Sequence[FoundDive],
     output: Path,
     options: tuple[ReplayOptions, ReplayOptions],
-    own_configs: tuple[OwnConfig, OwnConfig] = (None, None),
+    configs: Sequence[Mapping[Path | None, Config]] = ({}, {}),
     *,
     one_dive: bool = False,
 ) -> tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]:
     """Plan the replays before and after a change of settings, each side in its folder below the output."""
     old, new = output / "before", output / "after"
     return (
-        (old, plan_jobs(dives, old, options[0], own_configs[0], one_dive=one_dive)),
-        (new, plan_jobs(dives, new, options[1], own_configs[1], one_dive=one_dive)),
+        (old, plan_jobs(dives, old, options[0], configs[0], one_dive=one_dive)),
+        (new, plan_jobs(dives, new, options[1], configs[1], one_dive=one_dive)),
     )
 
 
@@ -300,14 +296,14 @@ def checked_dives(
     output: Path,  # of the replays
     options: ReplayOptions,
     replay: Callable[[Sequence[ReplayJob]], Generator[Outcome, None, None]],
-    own_config: OwnConfig = None,
+    configs: Mapping[Path | None, Config] = MappingProxyType({}),
 ) -> "list[Checked]":
     """Return the dives of a check in their order: results as they are, logs with the result of their replay."""
     from insdvl_replay.changes.gate_file import Checked, require_known_filters
     from insdvl_replay.changes.gates import checked_results
 
     logs = [dive for dive in dives if dive.path.suffix != ".json" and not (dive.path / COMPLETE).is_file()]
-    jobs = plan_jobs(logs, output, options, own_config)
+    jobs = plan_jobs(logs, output, options, configs)
     if len(logs) == len(dives):  # stored results may have other filters
         require_known_filters(gates, list(dict.fromkeys(name for job in jobs for name in job.options.config.filters)))
     checked = list[Checked]()

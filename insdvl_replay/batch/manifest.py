@@ -4,8 +4,10 @@ A dive is a path relative to the manifest, or a URL that fsspec knows. A URL nee
 same manifest always means the same dives.
 """
 
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from threading import Event
 from typing import Annotated, Final
 
 from msgspec import Meta, Struct
@@ -15,7 +17,7 @@ from insdvl_replay.core.config_file import converted, read_toml
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, listed
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.remote import fetched, file_digest, remote_name
+from insdvl_replay.logs.formats.remote import StalledError, fetched, file_digest, is_url, remote_name
 
 _EXAMPLE: Final = '[[dive]] path = "dive.mcap" or url = "https://..." with sha256'
 
@@ -25,7 +27,7 @@ class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     path: str = ""  # of a log, a bag or a folder of tables, relative to the manifest
     url: str = ""  # of a log
-    sha256: Annotated[str, Meta(pattern="^([0-9a-f]{64})?$")] = ""  # of the log, as a report has it
+    sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = ""  # of the log, as a report has it
     settings: str = ""  # a file for -c, relative to the manifest
     licence: str = ""  # for people
     faults: str = ""  # for people
@@ -38,10 +40,8 @@ class Manifest(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     dive: tuple[ManifestDive, ...]
 
 
-def manifest_dives(file: Path, tag: str = "", *, fetch: bool = True) -> list[FoundDive]:
-    """Return the dives of a manifest, or those with a tag; a dive that cannot be had or is another has its error.
-
-    Without ``fetch`` a remote log is only named.
+def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
+    """Return the dives of a manifest, or those with a tag.
 
     Raises
     ------
@@ -50,27 +50,58 @@ def manifest_dives(file: Path, tag: str = "", *, fetch: bool = True) -> list[Fou
     """
     source = read_toml(file, _EXAMPLE, if_unreadable="name a file of dives", if_invalid=_EXAMPLE)
     manifest = converted(source.content, Manifest, source)
+    if not manifest.dive:
+        raise ConfigError(f"{file}: lists no dives", _EXAMPLE)
     for number, dive in enumerate(manifest.dive, 1):
         if bool(dive.path) == bool(dive.url) or (dive.url and not dive.sha256):
             raise ConfigError(f"{file}: dive {number}: needs a path, or a url with its sha256", _EXAMPLE)
+        if dive.url and not is_url(dive.url):
+            raise ConfigError(f"{file}: dive {number}: {dive.url} is not a URL", _EXAMPLE)
     chosen = [dive for dive in manifest.dive if not tag or tag in dive.tags]
     if not chosen:
         tags = sorted({tag for dive in manifest.dive for tag in dive.tags})
         raise ConfigError(f"{file}: no dive has the tag '{tag}'", f"its tags are {listed(tags)}" if tags else _EXAMPLE)
-    found = parallel_map(partial(_found, file.parent, fetch=fetch), chosen)
-    return [dive for _, dive in zip(track_progress("fetching dives", chosen), found, strict=True)]
+    return [
+        FoundDive(
+            remote_name(dive.url) if dive.url else file.parent / dive.path,
+            dive.url,
+            dive.sha256.lower(),
+            file.parent / dive.settings if dive.settings else None,
+        )
+        for dive in chosen
+    ]
 
 
-def _found(folder: Path, dive: ManifestDive, *, fetch: bool) -> FoundDive:
-    settings, path = folder / dive.settings if dive.settings else None, folder / dive.path
-    try:
-        if dive.url:
-            path = fetched(dive.url, dive.sha256) if fetch else remote_name(dive.url)
-        elif dive.sha256 and path.exists() and (digest := _digest(path)) != dive.sha256:
-            raise LogError(f"its SHA-256 is {digest}; the manifest says {dive.sha256}", "restore the log", path)
-    except UserError as error:
-        return FoundDive(path if dive.path else remote_name(dive.url), dive.url, settings, error)
-    return FoundDive(path, dive.url, settings)
+def fetch_dives(dives: Sequence[FoundDive]) -> list[FoundDive]:
+    """Fetch remote logs and compare digests; a dive that cannot be had, or is another, gets its error.
+
+    A server that stalled is not asked for other dives.
+    """
+    stopped, stalled = Event(), set[str]()
+
+    def had(dive: FoundDive) -> FoundDive:
+        host = dive.name_giver.parts[1] if dive.url else ""
+        try:
+            if host in stalled:
+                raise LogError("its server stalled before", "try again later", dive.url)
+            if dive.url:
+                return replace(dive, path=fetched(dive.url, dive.sha256, stopped.is_set))
+            if dive.sha256 and dive.path.exists() and (digest := _digest(dive.path)) != dive.sha256:
+                text = f"its SHA-256 is {digest}; the manifest says {dive.sha256}"
+                raise LogError(text, "restore the log", dive.path)
+        except UserError as error:
+            if isinstance(error, StalledError):
+                stalled.add(host)
+            return replace(dive, error=error)
+        except (OSError, ValueError) as error:
+            reason = getattr(error, "strerror", None) or error
+            return replace(dive, error=LogError(f"cannot be read: {reason}", "check the path", dive.url or dive.path))
+        return dive
+
+    if not any(dive.sha256 or dive.url for dive in dives):
+        return list(dives)
+    found = parallel_map(had, dives, stop=stopped.set)
+    return [dive for _, dive in zip(track_progress("fetching logs", dives), found, strict=True)]
 
 
 def _digest(path: Path) -> str:

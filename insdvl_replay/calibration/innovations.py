@@ -309,6 +309,8 @@ def steady(velocity_b: Floats) -> Mask:
 
     Without a gate, an outlier would disturb the filter.
     """
+    if not len(velocity_b):
+        return np.zeros(0, bool)
     padded = np.pad(velocity_b, ((2, 2), (0, 0)), mode="edge")
     off = np.abs(velocity_b - np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1))
     usual = np.maximum(np.quantile(off, 0.75, axis=0), LEAST_OFF_MPS)

@@ -218,6 +218,7 @@ def check(
     from insdvl_replay.changes import gates as gating
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, write_expected
     from insdvl_replay.cli.run import outcomes
+    from insdvl_replay.cli.screen import fetched
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
     from insdvl_replay.results.folder import require_replaceable_file, result_file
@@ -250,13 +251,14 @@ def check(
         files = opt.settings_files(own, config)
         return load_config(preset or content.preset, files, settings, allow_code=allow_code, report=log_info)
 
+    configs = {file: load(file) for file in {dive.settings for dive in found_dives}}
     options = ReplayOptions(
         load(),
         allow_damaged=allow_damaged or content.allow_damaged,
         histories=histories,
     )
     replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
-    checked = checked_dives(chosen, found_dives, results, options, replayed, load)
+    checked = checked_dives(chosen, fetched(found_dives), results, options, replayed, configs)
     codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.expected is None for gate in chosen.gates):

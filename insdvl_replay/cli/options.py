@@ -50,7 +50,7 @@ Logs = Annotated[
     list[str],
     typer.Argument(
         metavar="LOG...",
-        help="Logs (.mcap, .db3, .bag), bags, tables, folders of them, quoted patterns, .txt lists, or manifests.",
+        help="Logs (.mcap, .db3, .bag), bags, tables, folders of them, quoted patterns, .txt lists, manifests, URLs.",
     ),
 ]
 Start = Annotated[

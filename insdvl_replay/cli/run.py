@@ -129,7 +129,7 @@ def run(
         log_to_stderr,
         write_stdout,
     )
-    from insdvl_replay.cli.screen import written
+    from insdvl_replay.cli.screen import fetched, written
     from insdvl_replay.core.config_file import given_keys
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
@@ -157,18 +157,18 @@ def run(
         blocked_by=blocked_by if is_free else "",
         given=given_keys(preset, config, settings) if is_free else frozenset(),
     )
-    changed = _changed_settings(load, options.config, against, fail_on, tables, strict=strict)
     found = find_dives(logs)
-    if changed is not None:
+    configs = {file: load(file) for file in {dive.settings for dive in found}}
+    changed = _changed_settings(load, configs, against, fail_on, tables, strict=strict)
+    if changed:
         from insdvl_replay.cli.changes import answer_against
 
-        own_configs = load, partial(load, against=against)
-        both = options, replace(options, config=changed)
-        sides = plan_both_sides(found, output, both, own_configs, one_dive=one_dive)
+        both = options, replace(options, config=changed.get(None, options.config))
+        sides = plan_both_sides(fetched(found), output, both, (configs, changed), one_dive=one_dive)
         dives = [job for _, planned in sides for job in planned]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
-    dives = plan_jobs(found, output, options, load, one_dive=one_dive)
+    dives = plan_jobs(fetched(found), output, options, configs, one_dive=one_dive)
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
     at_the_end = format_ in ("json", "csv", "html") or set(tables) in ({*TOGETHER}, *({name} for name in TOGETHER))
@@ -262,26 +262,31 @@ def _settings(
 
 def _changed_settings(
     load: "Callable[..., Config]",
-    config: "Config",
+    configs: "dict[Path | None, Config]",  # by the file of settings of a dive's own
     against: list[str],
     fail_on: str | None,
     tables: list[str],
     *,
     strict: bool,
-) -> "Config | None":
-    """Return the settings changed by ``--against``; None if there is no change to try."""
+) -> "dict[Path | None, Config]":
+    """Return the settings changed by ``--against``; empty without it. It is an error if that changes no dive."""
     from msgspec.structs import replace as with_values
 
     if not against:
         if fail_on is not None:
             raise ConfigError("--fail-on: works with --against only", "`insdvl-replay compare OLD NEW --fail-on worse`")
-        return None
-    changed = load(against=against)
-    if changed == config:
+        return {}
+    changed = {file: load(file, against=against) for file in configs}
+    if changed == configs:
         raise ConfigError(f"--against {against[-1]}: is the setting already", "give another value")
-    beam_sd_mps, dvl = config.dvl.beam_sd_mps, with_values(changed.dvl, velocity_sd_mps=config.dvl.velocity_sd_mps)
-    if beam_sd_mps is not None and with_values(changed, dvl=dvl) == config:
-        text = f"--against {against[-1]}: has no effect, since dvl.beam_sd_mps = {beam_sd_mps:g} decides"
+    unheeded = [
+        config.dvl.beam_sd_mps
+        for file, config in configs.items()
+        if with_values(changed[file].dvl, velocity_sd_mps=config.dvl.velocity_sd_mps) == config.dvl
+        and with_values(changed[file], dvl=config.dvl) == config
+    ]
+    if None not in unheeded and len(unheeded) == len(configs):
+        text = f"--against {against[-1]}: has no effect, since dvl.beam_sd_mps = {unheeded[0]:g} decides"
         raise ConfigError(text, "change dvl.beam_sd_mps, or add --against dvl.beam_sd_mps=none")
     if tables or strict:
         option = "--table" if tables else "--strict"

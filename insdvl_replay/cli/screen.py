@@ -3,10 +3,10 @@
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from rich.console import Console, RenderableType
 from rich.text import Text
@@ -18,6 +18,9 @@ from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
 from insdvl_replay.show.render import document as parts_of
 from insdvl_replay.show.render import render
 from insdvl_replay.show.text import for_terminal
+
+if TYPE_CHECKING:
+    from insdvl_replay.batch.dive_paths import FoundDive
 
 PIPED_COLUMNS = 10_000
 """Width without a terminal, so that no line is wrapped."""
@@ -132,6 +135,14 @@ def progress(
 
     with Live(get_renderable=line, console=console, transient=True) as live, progress_listener(show):
         yield paused
+
+
+def fetched(dives: "Sequence[FoundDive]") -> "list[FoundDive]":
+    """Fetch the remote logs of dives, and show the progress; each dive that cannot be had has its error."""
+    from insdvl_replay.batch.manifest import fetch_dives
+
+    with progress("fetching logs") if any(dive.url for dive in dives) else nullcontext():
+        return fetch_dives(dives)
 
 
 def compiling() -> str:

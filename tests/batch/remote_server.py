@@ -19,6 +19,8 @@ class LogServer:
         self.url = ""
         self.cut: int | None = None  # bytes after which it drops the connection
         self.announced: int | None = None  # length that it announces instead of the true one
+        self.head_announces: int | None = None  # likewise, without content
+        self.has_length = True
         self.stalls = False
         self.has_ranges = True
         self.has_tags = True
@@ -56,7 +58,9 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_response(200)
         if told.flips:
             content = content[:-40] + bytes([content[-40] ^ 1]) + content[-39:]
-        self.send_header("Content-Length", str(told.announced or len(content)))
+        announced = told.head_announces if told.head_announces and not with_content else told.announced
+        if told.has_length:
+            self.send_header("Content-Length", str(announced or len(content)))
         if told.has_tags:
             self.send_header("ETag", f'"{hash(log)}-{len(told.asked) * told.changes}"')
         self.end_headers()
@@ -69,18 +73,24 @@ class _Handler(BaseHTTPRequestHandler):
         part = content if told.cut is None else content[: told.cut]
         self.wfile.write(part)
         told.sent += len(part)
-        self.close_connection = told.cut is not None or told.announced is not None
+        self.close_connection = told.cut is not None or told.announced is not None or not told.has_length
 
     def log_message(self, *_: Any) -> None:
         pass
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, *_: Any) -> None:
+        """Say nothing of clients that went away."""
 
 
 @contextmanager
 def served(logs: dict[str, bytes]) -> Iterator[LogServer]:
     """Serve logs by their paths, such as ``/dive.mcap``."""
     told = LogServer(logs)
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Handler, told)) as server:
-        server.daemon_threads = True
+    with _Server(("127.0.0.1", 0), partial(_Handler, told)) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
         thread.start()
         told.url = f"http://127.0.0.1:{server.server_port}"

@@ -11,6 +11,7 @@ import pytest
 from small_logs import simulated
 
 from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
+from insdvl_replay.batch.manifest import fetch_dives
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs.formats.recording import open_recording
@@ -36,7 +37,7 @@ def memory() -> Iterator[Any]:
 
 
 def found_paths(*names: str) -> list[Path]:
-    return usable_paths(find_dives(names))
+    return usable_paths(fetch_dives(find_dives(names)))
 
 
 def manifest(folder: Path, *dives: str) -> str:
@@ -72,7 +73,16 @@ def test_a_folder_has_the_digest_of_its_report(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", ['path = "a"\nurl = "b"', 'url = "https://x/y.mcap"', "tags = []", 'sha256 = "abc"', "x = 1"]
+    "line",
+    [
+        'path = "a"\nurl = "b"',
+        'url = "https://x/y.mcap"',
+        "tags = []",
+        'sha256 = "abc"',
+        "x = 1",
+        f'url = "dive.mcap"\nsha256 = "{WRONG}"',
+        f'url = "http://[bad/"\nsha256 = "{WRONG}"',
+    ],
 )
 def test_a_wrong_entry_is_a_wrong_setting(tmp_path: Path, line: str) -> None:
     with pytest.raises(ConfigError, match=r"dives\.toml"):
@@ -115,3 +125,24 @@ def test_settings_that_are_not_there_end_with_2(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(LOG)
     listed = manifest(tmp_path, 'path = "a.mcap"\nsettings = "none.toml"')
     assert run_command_line(["run", listed, "-o", str(tmp_path / "out")]) == 2
+
+
+def test_a_dive_is_listed_once(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(LOG)
+    one, other = 'path = "a.mcap"', 'path = "a.mcap"\nsettings = "v.toml"'
+    assert len(find_dives([manifest(tmp_path, one, one)])) == 1
+    with pytest.raises(ConfigError, match="is listed twice, with different settings"):
+        find_dives([manifest(tmp_path, one, other)])
+    (tmp_path / "dives.toml").write_text("dive = []")
+    with pytest.raises(ConfigError, match="lists no dives"):
+        find_dives([str(tmp_path / "dives.toml")])
+
+
+def test_a_change_that_no_dive_heeds_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, text in (("a", "beam_sd_mps = 0.01"), ("b", "velocity_sd_mps = 0.02\nbeam_sd_mps = 0.01")):
+        (tmp_path / f"{name}.mcap").write_bytes(LOG)
+        (tmp_path / f"{name}.toml").write_text(f"[dvl]\n{text}\n")
+    listed = manifest(tmp_path, *(f'path = "{name}.mcap"\nsettings = "{name}.toml"' for name in "ab"))
+    for change, said in (("velocity_sd_mps=0.5", "has no effect"), ("beam_sd_mps=0.01", "is the setting already")):
+        assert run_command_line(["run", listed, "--against", f"dvl.{change}", "-o", str(tmp_path / "out")]) == 2
+        assert said in capsys.readouterr().err

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -13,7 +14,8 @@ from mcap.writer import Writer
 from remote_server import LogServer, served
 from small_logs import simulated, written
 
-from insdvl_replay.batch.dive_paths import find_dives, usable_paths
+from insdvl_replay.batch.dive_paths import find_dives
+from insdvl_replay.batch.manifest import fetch_dives
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.errors import LogError, UserError
@@ -117,7 +119,9 @@ def test_nothing_is_kept_of_a_server_that_misbehaves(
 @pytest.mark.parametrize("url", ["memory://dives/none.mcap", "unknown://x", "http://127.0.0.1:9/x.mcap"])
 def test_what_cannot_be_fetched_is_an_error_of_that_dive(tmp_path: Path, cache: Path, url: str) -> None:
     (tmp_path / "a.mcap").write_bytes(LOG)
-    first, second = find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"', 'path = "a.mcap"'), url])[:2]
+    first, second = fetch_dives(
+        find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"', 'path = "a.mcap"')])
+    )
     assert isinstance(first.error, UserError)
     assert first.error.exit_code == 3
     assert second.error is None
@@ -146,6 +150,86 @@ def test_a_second_check_asks_once_for_each_dive_and_reads_no_log(tmp_path: Path)
         assert run_command_line(command) == first
         assert server.asked == ["HEAD"] * 20
         assert server.sent == 0
+
+
+def test_logs_of_one_name_are_named_after_their_urls(tmp_path: Path) -> None:
+    with served({"/x/log.mcap": LOG, "/y/log.mcap": LOG}) as server:
+        urls = [f"{server.url}/{folder}/log.mcap" for folder in ("x", "y", "none")]
+        assert run_command_line(["run", *urls, "--starts", "1", "-q", "-o", str(tmp_path / "out")]) == 3
+    assert {path.name for path in (tmp_path / "out").iterdir() if path.is_dir()} == {"x_log", "y_log"}
+
+
+def test_a_log_of_unknown_length_needs_a_digest(server: LogServer, cache: Path) -> None:
+    server.has_length = False
+    server.cut = 5000
+    with pytest.raises(LogError, match="does not say how long it is"):
+        fetched(f"{server.url}/dive.mcap")
+    with pytest.raises(LogError, match="the SHA-256 of what was sent"):
+        fetched(f"{server.url}/dive.mcap", SHA256)
+    assert not kept(cache)
+
+
+def test_a_server_that_stalled_is_not_asked_for_other_dives(
+    server: LogServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote, "STALLED_S", 0.2)
+    monkeypatch.setattr("os.cpu_count", lambda: 1)
+    server.stalls = True
+    server.logs |= {f"/{number}.mcap": LOG for number in range(20)}
+    lines = [f'url = "{server.url}{path}"\nsha256 = "{SHA256}"' for path in server.logs]
+    dives = fetch_dives(find_dives([manifest(tmp_path, *lines)]))
+    assert sum("stalled before" in str(dive.error) for dive in dives) == 20
+    assert server.asked.count("GET") == 1
+
+
+def test_a_transfer_ends_that_is_not_wanted_or_longer_than_announced(server: LogServer, cache: Path) -> None:
+    with pytest.raises(LogError, match="stopped"):
+        fetched(f"{server.url}/dive.mcap", "", lambda: True)
+    server.head_announces = 5000
+    with pytest.raises(LogError, match="more than the 5000 bytes"):
+        fetched(f"{server.url}/dive.mcap", SHA256)
+    assert not kept(cache)
+
+
+@pytest.mark.parametrize("content", ["[]", '"x"', "null", "{", '{"sha256": 3}'])
+def test_what_is_known_of_servers_may_be_damaged(server: LogServer, content: str) -> None:
+    fetched(f"{server.url}/dive.mcap")
+    (said,) = cache_folder().glob("urls/*.json")
+    said.write_text(content)
+    assert fetched(f"{server.url}/dive.mcap").read_bytes() == LOG
+
+
+def test_a_cache_that_cannot_be_written_is_named(
+    server: LogServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with pytest.raises(LogError, match=r"cannot be kept in .*file"):
+        fetched(f"{server.url}/dive.mcap")
+
+
+def test_parts_of_killed_processes_are_removed(server: LogServer, cache: Path) -> None:
+    left, now = (cache / "insdvl-replay" / "logs" / name for name in (".part_old", ".part_now"))
+    for folder in (left, now):
+        folder.mkdir(parents=True)
+        (folder / "dive.mcap").write_bytes(LOG)
+    os.utime(left, (0, 0))
+    fetched(f"{server.url}/dive.mcap")
+    assert not left.exists()
+    assert now.exists()
+
+
+@pytest.mark.parametrize(
+    ("url", "name"),
+    [
+        ("https://x/a%20b.mcap?token=1", "a b.mcap"),
+        ("https://x/..", "dive"),
+        ("https://x", "dive"),
+        (f"https://x/{'y' * 300}.mcap", "dive.mcap"),
+    ],
+)
+def test_names_of_logs_come_from_their_urls(url: str, name: str) -> None:
+    assert str(remote.remote_name(url)) == name
 
 
 # --- Inspection by ranges
@@ -254,7 +338,7 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 def test_logs_in_a_bucket(bucket: Any, tmp_path: Path, cache: Path) -> None:
     bucket.pipe("dives/dive.mcap", LOG)
     url = "s3://dives/dive.mcap"
-    assert usable_paths(find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{SHA256}"')]))[0].read_bytes() == LOG
+    assert fetched(url, SHA256).read_bytes() == LOG
     assert fetched(url) == fetched(url, SHA256)
     assert len(json.loads(next(cache.rglob("urls/*.json")).read_bytes())["state"]) > 1
     assert [role.topic for role in inspect_summary(url, Config()).roles if role.role == "dvl"] == ["/dvl"]

@@ -243,3 +243,8 @@ def test_a_dvl_that_cannot_be_built_in_is_not_simulated(option: list[str], tmp_p
     log = tmp_path / "dive.mcap"
     assert run_command_line(["simulate", "static", "-o", str(log), *option]) == 2
     assert not log.exists()
+
+
+def test_a_span_without_pings_is_reported(dives: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command_line([*calibrate(dives, "static"), "--set", "span.start_s=98"]) == 3
+    assert "0 pings are too few to calibrate" in capsys.readouterr().err

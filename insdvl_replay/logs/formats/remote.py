@@ -4,19 +4,23 @@ A server is asked once whether a log that is kept is still the one it has. What 
 nothing changed meanwhile, and the digest is the one that is wanted.
 """
 
+import errno
 import hashlib
 import json
 import os
 import re
+import shutil
 import struct
+import time
 from collections import defaultdict
-from contextlib import contextmanager
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final
-from urllib.parse import unquote, urlsplit
+from urllib.parse import quote, unquote, urlsplit
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -31,13 +35,18 @@ from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE, MAGIC, log_channel
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-STALLED_S: float = 60.0  # without a byte from the server
+STALLED_S: float = 30.0  # without a byte from the server
+SLOWEST: Final = 1000  # bytes a second, over twice this time
 _CHECK: Final = "check the URL and the connection"
 _FETCH: Final = "fetch it with `insdvl-replay run URL`"
 _STATE: Final = ("size", "ETag", "Last-Modified", "LastModified")  # that a server says of a log, on the web and in S3
+_OF_THIS_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR)
+_LONGEST_NAME: Final = 200  # bytes of a file's name
+_ABANDONED_S: Final = 86400.0  # a part that was left so long ago belongs to no other process
 _FIRST_TAIL: Final = 128 << 10  # bytes of a log's end that are asked for first
 _LONGEST_TAIL: Final = 512 << 10
 _FOOTER: Final = struct.Struct("<QQI")
+_AS_THEY_ARE: Final = "%/:=&?~#+!$,;'@()*[]"  # characters of a URL
 _ESSENTIAL: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _RECORDS: Final[dict[int, Any]] = {
     Opcode.SCHEMA: records.Schema,
@@ -50,9 +59,22 @@ _RECORDS: Final[dict[int, Any]] = {
 }
 
 
+class StalledError(LogError):
+    """A server did not answer, or stopped in the middle (exit code 3)."""
+
+
+def is_url(name: str) -> bool:
+    """Return whether a name is a URL that can be taken apart."""
+    try:
+        return "://" in name and bool(urlsplit(name).scheme)
+    except ValueError:
+        return False
+
+
 def remote_name(url: str) -> Path:
     """Return the name of the file that a URL is of."""
-    return Path(Path(unquote(urlsplit(url).path)).name or "dive.mcap")
+    name = Path(unquote(urlsplit(url).path)).name
+    return Path(name if name.strip(".") and len(name.encode()) <= _LONGEST_NAME else f"dive{Path(name).suffix[:9]}")
 
 
 def cache_folder() -> Path:
@@ -60,7 +82,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "insdvl-replay"
 
 
-def fetched(url: str, sha256: str = "") -> Path:
+def fetched(url: str, sha256: str = "", is_stopped: Callable[[], bool] = lambda: False) -> Path:
     """Return a remote log from the cache, after fetching it if it is not there or has changed.
 
     A log whose digest is known is used from the cache where its server cannot be asked.
@@ -73,10 +95,11 @@ def fetched(url: str, sha256: str = "") -> Path:
     said = cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
     try:
         known = json.loads(said.read_bytes())
-    except (OSError, ValueError):
-        known = {}
-    name = remote_name(url)
-    kept = cache_folder() / "logs" / (sha256 or str(known.get("sha256"))) / name
+        known_sha256, known_state = str(known["sha256"]), known["state"]
+    except (OSError, ValueError, TypeError, KeyError):
+        known_sha256, known_state = "", None
+    logs, name = cache_folder() / "logs", remote_name(url)
+    kept = logs / (sha256 or known_sha256) / name
     is_kept = kept.is_file() and file_digest(kept) == kept.parent.name
     system, path = _file_system(url)
     try:
@@ -86,33 +109,56 @@ def fetched(url: str, sha256: str = "") -> Path:
         if is_kept and sha256:
             return kept
         raise
-    is_same = known.get("state") == state and known.get("sha256") == kept.parent.name
-    if is_kept and is_same and (sha256 or len(state) > 1):  # a size alone shows no change
+    if "size" not in state and not sha256:
+        text = "its server does not say how long it is, so that a part of it could be taken for the whole"
+        raise LogError(text, "list it in a manifest with its sha256", url)
+    # A size alone shows no change.
+    if is_kept and known_sha256 == kept.parent.name and known_state == state and (sha256 or len(state) > 1):
         return kept
-    logs = cache_folder() / "logs"
-    logs.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(dir=logs, prefix=".part") as folder:
-        part = Path(folder) / name
-        with _refused(url):
-            system.get_file(path, str(part))
-            after = _state(system, path)
-        size = part.stat().st_size
-        if after != state:
-            raise LogError("changed on its server while it was fetched; nothing was kept", "fetch it again", url)
-        if size != state.get("size", size):
-            text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
-            raise LogError(text, _CHECK, url)
-        digest = file_digest(part)
-        if digest != (sha256 or digest):
-            hint = "ask who offers it; nothing was kept"
-            raise LogError(f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}", hint, url)
-        kept = logs / digest / name
-        kept.parent.mkdir(exist_ok=True)
-        part.replace(kept)
-        said.parent.mkdir(exist_ok=True)
-        part.write_text(json.dumps({"url": url, "sha256": digest, "state": state}))
-        part.replace(said)
+    with _refused(url):
+        logs.mkdir(parents=True, exist_ok=True)
+        for left in logs.glob(".part*"):  # by a process that was killed
+            with suppress(OSError):  # another one is done
+                if time.time() - left.stat().st_mtime > _ABANDONED_S:
+                    shutil.rmtree(left)
+        with TemporaryDirectory(dir=logs, prefix=".part") as folder:
+            part = Path(folder) / name
+            system.get_file(path, str(part), callback=_watch(state.get("size"), is_stopped))
+            if _state(system, path) != state:
+                raise LogError("changed on its server while it was fetched; nothing was kept", "fetch it again", url)
+            if (size := part.stat().st_size) != state.get("size", size):
+                text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
+                raise LogError(text, _CHECK, url)
+            if (digest := file_digest(part)) != (sha256 or digest):
+                hint = "ask who offers it; nothing was kept"
+                raise LogError(f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}", hint, url)
+            kept = logs / digest / name
+            kept.parent.mkdir(exist_ok=True)
+            part.replace(kept)
+            said.parent.mkdir(exist_ok=True)
+            part.write_text(json.dumps({"sha256": digest, "state": state}))
+            part.replace(said)
     return kept
+
+
+def _watch(size: str | int | None, is_stopped: Callable[[], bool]) -> Any:
+    """Return what fsspec calls with each piece: it ends a transfer that is too long, too slow, or no longer wanted."""
+    from fsspec.callbacks import Callback
+
+    begun_s = time.monotonic()
+
+    class Watch(Callback):  # type: ignore[misc]
+        def relative_update(self, inc: int = 1) -> None:
+            super().relative_update(inc)
+            elapsed_s = time.monotonic() - begun_s
+            if is_stopped():
+                raise InterruptedError("stopped")
+            if isinstance(size, int) and self.value > size:
+                raise OSError(f"its server sends more than the {size} bytes that it announced")
+            if elapsed_s > 2.0 * STALLED_S and self.value < SLOWEST * elapsed_s:
+                raise TimeoutError(f"{self.value} bytes in {elapsed_s:.0f} s")
+
+    return Watch()
 
 
 def file_digest(path: Path) -> str:
@@ -131,7 +177,7 @@ def _file_system(url: str) -> tuple[Any, str]:
             import aiohttp
 
             timeout = aiohttp.ClientTimeout(total=None, sock_connect=STALLED_S, sock_read=STALLED_S)
-            options["client_kwargs"] = {"timeout": timeout}
+            options["client_kwargs"] = {"timeout": timeout, "trust_env": True}
         with _refused(url):
             system, path = fsspec.core.url_to_fs(url, skip_instance_cache=True, **options)
     except ImportError as error:
@@ -148,14 +194,19 @@ def _state(system: Any, path: str) -> dict[str, str | int]:
 
 @contextmanager
 def _refused(url: str) -> "Iterator[None]":
-    """Turn whatever a library makes of a server into a LogError."""
+    """Turn whatever a library makes of a server or of this disk into a LogError."""
     try:
         yield
     except (LogError, ImportError):
         raise
     except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LogError(f"cannot be fetched: {reason}", _CHECK, url) from error
+        cause = error.__cause__ or error
+        reason = " ".join(str(cause).split())[:200] or type(cause).__name__
+        if isinstance(error, OSError) and error.errno in _OF_THIS_DISK and error.filename:
+            text = f"cannot be kept in {cache_folder()}: {error.strerror}"
+            raise LogError(text, "make room there, or set XDG_CACHE_HOME", url) from error
+        kind = StalledError if isinstance(cause, TimeoutError) else LogError
+        raise kind(f"cannot be fetched: {reason}", _CHECK, url) from error
 
 
 # --- The summary at the end of a log.
@@ -256,11 +307,14 @@ def _tail(url: str, count: int, end: int | None = None) -> tuple[bytes, int]:
     from urllib.request import Request, urlopen
 
     wanted = f"bytes=-{count}" if end is None else f"bytes={end - count}-{end - 1}"
-    request = Request(url, headers={"Range": wanted, "Accept-Encoding": "identity"})
+    request = Request(quote(url, safe=_AS_THEY_ARE), headers={"Range": wanted, "Accept-Encoding": "identity"})
     with _refused(url), urlopen(request, timeout=STALLED_S) as answer:  # the scheme is known
         if answer.status != 206:  # a part of the content; a server without ranges sends all
             raise LogError("its server does not send parts of files", _FETCH, url)
-        first, last, size = map(int, re.findall(r"\d+", str(answer.headers["Content-Range"])))
+        numbers = [int(digits) for digits in re.findall(r"\d+", answer.headers["Content-Range"] or "")]
+        if len(numbers) != 3:  # first, last, and all
+            raise LogError("its server does not say which part it sent", _FETCH, url)
+        first, last, size = numbers
         content = answer.read(count + 1)
         if not len(content) == last - first + 1 <= count or last + 1 != (end or size):
             raise LogError("its server sent other bytes than those asked for", _CHECK, url)
