@@ -33,16 +33,8 @@ from insdvl_replay.core.result import Report
 from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.core.words import Verdict
 from insdvl_replay.evaluation.answers import AGAINST, Piece, left_undecided, shown_interval
-from insdvl_replay.show.answers import (
-    AnyAnswer,
-    answers_of,
-    evidence_text,
-    interval_text,
-    ratio_text,
-    reason_undecided,
-    spoken_rows,
-    verdict_counts,
-)
+from insdvl_replay.show import answers
+from insdvl_replay.show.answers import AnyAnswer, evidence_text, interval_text, ratio_text, spoken_rows
 from insdvl_replay.show.dives import NO_EVIDENCE
 from insdvl_replay.show.first_screen import ForestRow, forest
 from insdvl_replay.show.plot import style_sheet
@@ -72,14 +64,9 @@ class Place:
     data: Path = PROJECT.parent / "shared" / "data"  # logs that need not be fetched
 
     @property
-    def manifest(self) -> Path:
-        """The list of dives."""
-        return self.public / "dives.toml"
-
-    @property
     def dives(self) -> list[dict[str, Any]]:
-        """Its entries; the first tag of a dive is its data set, the second its name."""
-        return list(tomllib.loads(self.manifest.read_text("utf-8"))["dive"])
+        """The entries of dives.toml; the first tag of a dive is its data set, the second its name."""
+        return list(tomllib.loads((self.public / "dives.toml").read_text("utf-8"))["dive"])
 
 
 @dataclass
@@ -102,7 +89,7 @@ class Cell:
     @cached_property
     def answer(self) -> AnyAnswer | None:
         """The verdict; None without evidence."""
-        found = [found for found in answers_of([*self.reports.values()]) if found.filter == self.candidate]
+        found = [found for found in answers.answers_of([*self.reports.values()]) if found.filter == self.candidate]
         known = [one for one in found if spoken_rows(one) or one.verdict == Verdict.NOT_EVALUATED]
         return known[0] if known else None
 
@@ -143,7 +130,11 @@ class Cell:
         """Why it has no verdict, or no decision."""
         if self.answer is None:
             return NO_EVIDENCE if self.reports else "; ".join(self.without)
-        return self.answer.reason if self.answer.verdict == Verdict.NOT_EVALUATED else reason_undecided(self.answer)
+        return (
+            self.answer.reason
+            if self.answer.verdict == Verdict.NOT_EVALUATED
+            else answers.reason_undecided(self.answer)
+        )
 
     @property
     def without(self) -> list[str]:
@@ -221,7 +212,7 @@ def log_of(dive: Mapping[str, Any], local: Mapping[str, Path], place: Place) -> 
     """Return the log of a dive: one that is there, else one that is fetched."""
     if (log := local.get(dive["sha256"])) is not None:
         return log
-    [found] = manifest_dives(place.manifest, dive["tags"][1])
+    [found] = manifest_dives(place.public / "dives.toml", dive["tags"][1])
     if found.error is not None:
         raise found.error
     if not found.path.exists():
@@ -313,7 +304,7 @@ def finding(cells: Mapping[str, Sequence[Cell]]) -> str:
         known = [cell for of_set in cells.values() for cell in of_set if cell.candidate == method and cell.rows]
         over_all, *of_sets = known
         numbers = ", ".join(f"{cell.dives} of {cell.data_set}" for cell in of_sets)
-        counts = verdict_counts(method, [report for cell in of_sets for report in cell.reports.values()])
+        counts = answers.verdict_counts(method, [report for cell in of_sets for report in cell.reports.values()])
         found = over_all.answer
         undecided = left_undecided(found.verdict, found.known).replace(";", ". All dives,") if found else ""
         lines.append(f"- `{method}`: {numbers}. Dive by dive: {counts}{undecided}.")

@@ -43,7 +43,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> benchmark.Place:
         write_dive(place.data / f"{name}.mcap", simulate_dive("figure-eight", seed=seed, duration_s=60.0))
         entries.append((hashlib.sha256((place.data / f"{name}.mcap").read_bytes()).hexdigest(), f"set_{name}", name))
     entries.append(("0" * 64, "set_two", "three"))
-    place.manifest.write_text(
+    (place.public / "dives.toml").write_text(
         "".join(
             f'[[dive]]\npath = "{name}.mcap"\nsha256 = "{digest}"\nlicence = "none"\nfaults = "none"\n'
             f'settings = "settings/vehicle.toml"\ntags = ["{data_set}", "{name}"]\n'
