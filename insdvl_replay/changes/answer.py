@@ -136,14 +136,10 @@ def _not_evaluated(report: StoredReport, name: str) -> str:
 def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterator[EvidenceRow]:
     """Yield the evidence of a filter that both sides have, new over old; of a filter alone, its drift and outage tests.
 
-    An onboard solution has a start of its own, and its rows have other values of the baseline: they come last.
+    Of the baseline, the first row counts: candidates with a start of their own, which change its values, come last.
     """
     frame = [*paired_rows(old.report, new.report, _TABLES)]
-    settings = new.report.config.get("filters")
-    filters = settings.items() if isinstance(settings, dict) else ()
-    solutions = {other for other, own in filters if isinstance(own, dict) and own.get("solution")}
     evidence = [pair for pair in frame if pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY]
-    evidence.sort(key=lambda pair: pair.filter in solutions)
     is_baseline, column = name == new.report.baseline, "baseline" if name == new.report.baseline else "value"
     cells = [
         (pair.row, str(pair.new.get("evidence")), column, pair)
