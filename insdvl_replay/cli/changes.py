@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Generator, Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -128,14 +129,15 @@ def answer_against(
     (old, old_jobs), (new, _) = sides
     failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
     done = list[str]()
-    for outcome in replays:
-        report = outcome.result
-        if not isinstance(report, Exception):
-            done.append(report.log.name)
-            if outcome.job in old_jobs and not quiet:
-                log_notes(report.notes, verbose=verbose > 0)
-        elif str(report) not in failures:
-            failures[str(report)] = log_failure(report, verbose)
+    with closing(replays):
+        for outcome in replays:
+            report = outcome.result
+            if not isinstance(report, Exception):
+                done.append(report.log.name)
+                if outcome.job in old_jobs and not quiet:
+                    log_notes(report.notes, verbose=verbose > 0)
+            elif str(report) not in failures:
+                failures[str(report)] = log_failure(report, verbose)
     if both := [name for name in dict.fromkeys(done) if done.count(name) > 1]:
         found = changes.compare_results(old, new, dives=both)
         command = f"{shlex.join(['insdvl-replay', 'compare', str(old), str(new)])} "

@@ -190,26 +190,28 @@ def run(
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
     unchanged, explained, has_findings = 0, False, False
-    for outcome in outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake):
-        name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
-        if isinstance(report, Exception):
-            reports.append(Failure(name, str(report)))
-            codes[name] = log_failure(report, verbose)
-            continue
-        reports.append(report)
-        unchanged += outcome.unchanged
-        if not (quiet or has_findings):
-            has_findings = log_findings(report.notes, target / VEHICLE_FILE)
-        if talks or (alone and not quiet):
-            log_notes([note for note in report.notes if not is_finding(note)], verbose=verbose > 0)
-            if verbose and report.notes and not explained:
-                log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
-                explained = True
-        if talks or (outcome.unchanged and alone and not quiet):
-            log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
-        if prints_each:
-            write_stdout(shown(report, target))
-        codes[name] = _strict_code(name, report, verbose) if strict else 0
+    replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
+    with closing(replays):  # an interrupt may come here, and the workers must end before this process
+        for outcome in replays:
+            name, target, report = outcome.job.target.name, outcome.job.target, outcome.result
+            if isinstance(report, Exception):
+                reports.append(Failure(name, str(report)))
+                codes[name] = log_failure(report, verbose)
+                continue
+            reports.append(report)
+            unchanged += outcome.unchanged
+            if not (quiet or has_findings):
+                has_findings = log_findings(report.notes, target / VEHICLE_FILE)
+            if talks or (alone and not quiet):
+                log_notes([note for note in report.notes if not is_finding(note)], verbose=verbose > 0)
+                if verbose and report.notes and not explained:
+                    log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
+                    explained = True
+            if talks or (outcome.unchanged and alone and not quiet):
+                log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
+            if prints_each:
+                write_stdout(shown(report, target))
+            codes[name] = _strict_code(name, report, verbose) if strict else 0
     if brief:
         write_stdout("".join(f"{visible(line)}\n" for line in quiet_lines(reports)))
     elif tables:

@@ -168,7 +168,11 @@ def _workspace(target: Path) -> Iterator[Path]:
         try:
             yield folder
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            try:
+                shutil.rmtree(folder, ignore_errors=True)
+            except BaseException:  # an interrupt, which must not leave half of it
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
             for parent in made:
                 with suppress(OSError):  # no longer empty, or never made
                     parent.rmdir()

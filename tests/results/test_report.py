@@ -5,6 +5,7 @@ import io
 import json
 import math
 import re
+import shutil
 from pathlib import Path
 
 import msgspec
@@ -347,6 +348,23 @@ def test_folder_appears_when_complete(tmp_path: Path) -> None:
         assert not target.exists()
     assert json.loads((target / COMPLETE).read_bytes())["tool"] == {}
     assert list(target.parent.iterdir()) == [target]
+
+
+def test_an_interrupt_while_the_hidden_folder_is_removed_leaves_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    remove, calls = shutil.rmtree, list[Path]()
+
+    def interrupted(path: Path, **options: bool) -> None:
+        calls.append(path)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        remove(path, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(tmp_path / "dive", "whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["dive"]
 
 
 @pytest.mark.parametrize("interruption", [KeyboardInterrupt, RuntimeError, SystemExit])
