@@ -130,9 +130,9 @@ DIVES ?= ../shared/data/snapir
 reproduce: .venv/run.stamp
 	$(BIN)/python docs/generate/reproduction.py $(DIVES)
 
-# Candidates of benchmarks/public on the public dives; only what is new is replayed.
+# Candidates of benchmarks/public on the public dives; only what is new is replayed. With ONLY=NAME, the rows of one are printed.
 benchmark: .venv/run.stamp
-	$(BIN)/python docs/generate/benchmark.py
+	$(BIN)/python docs/generate/benchmark.py $(ONLY)
 
 # How the DVLs of the three examples are built in, found from nothing; git tells what moved. The examples have these values: copy what
 # moved. Dives 09 and 11 of the Snapir, whose DVL is noisy, are left out, and confirm it. Needs the logs of ../shared/data, or of DATA.

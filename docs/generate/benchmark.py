@@ -1,18 +1,20 @@
 """The parts of docs/benchmark.md that the program writes, and its picture: candidates on the public dives.
 
-    python docs/generate/benchmark.py
+    python docs/generate/benchmark.py [NAME]
 
-A cell is a candidate on the dives of a data set. A dive is replayed only if its log, its settings or the program have
-changed. Logs in ../shared/data are known by their digests; others are fetched.
+With a name, its rows are printed. A cell is a candidate on the dives of a data set. A dive is replayed only if its log,
+its settings or the program have changed. Logs in ../shared/data are known by their digests; others are fetched.
 """
 
 import hashlib
+import math
 import os
 import re
 import shutil
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -22,17 +24,18 @@ from typing import Any
 import msgspec
 from written import PROJECT, markdown_table, renewed
 
+from insdvl_replay.batch.dive_paths import FoundDive
 from insdvl_replay.batch.jobs import ReplayJob, ReplayOptions, known_reports, replay_jobs
-from insdvl_replay.batch.manifest import manifest_dives
+from insdvl_replay.batch.manifest import fetch_dives, manifest_dives
 from insdvl_replay.batch.workers import local_pool
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_record import LOG_SUFFIXES
-from insdvl_replay.core.errors import LogError, UserError, counted
+from insdvl_replay.core.errors import ConfigError, LogError, UserError, counted, listed
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.answers import AGAINST, Piece, left_undecided, shown_interval
+from insdvl_replay.evaluation.answers import Piece, left_undecided, shown_interval
 from insdvl_replay.show import answers
 from insdvl_replay.show.answers import AnyAnswer, evidence_text, interval_text, ratio_text, spoken_rows
 from insdvl_replay.show.dives import NO_EVIDENCE
@@ -41,17 +44,16 @@ from insdvl_replay.show.plot import style_sheet
 
 PAGE = PROJECT / "docs" / "benchmark.md"
 PICTURE = PAGE.with_suffix(".svg")
-QUOTED = {PROJECT / "README.md": "docs/benchmark.md", PROJECT / "docs" / "reproduction.md": "benchmark.md"}
-"""Pages that quote what is found of the paper's method, with the link to the benchmark."""
+QUOTING = (PROJECT / "README.md", PROJECT / "docs" / "reproduction.md")  # what is found of the paper's method
 COMMAND = "make benchmark"
 EXAMPLES = PROJECT / "examples" / "candidates"
-ALL = "all dives"
-"""Stands for the dives of all data sets."""
-METHODS = ("published", "windowed")
-"""The paper's model, and the same predicted over the window of the velocities."""
+ALL = "all dives"  # of all data sets
+METHODS = {"published": "published", "windowed_fitted": "windowed with fitted noise"}  # of the paper, in words
+WORDS = tomllib.loads((PROJECT / "benchmarks" / "public" / "words.toml").read_text("utf-8"))
+NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
+HEADER = ("filter", "evidence", "ratio", "95 % interval", "n", "verdict", "reason", "digest", "command")
 BEST_FIRST = [*map(Verdict, ("better", "equivalent", "undecided", "mixed", "worse", "not evaluated"))]
-WIDTH, ABOVE = 860, 30
-"""Of the picture and above each plot, in pixels."""
+WIDTH, ABOVE = 860, 30  # of the picture and above each plot, in pixels
 JOBS = 2
 
 
@@ -62,11 +64,28 @@ class Place:
     public: Path = PROJECT / "benchmarks" / "public"  # dives.toml, settings and candidates
     build: Path = PROJECT / "build" / "benchmark"
     data: Path = PROJECT.parent / "shared" / "data"  # logs that need not be fetched
+    candidates: str = "*"  # pattern of their names
 
     @property
     def dives(self) -> list[dict[str, Any]]:
         """The entries of dives.toml; the first tag of a dive is its data set, the second its name."""
-        return list(tomllib.loads((self.public / "dives.toml").read_text("utf-8"))["dive"])
+        entries = tomllib.loads((self.public / "dives.toml").read_text("utf-8"))["dive"]
+        dives = [{"licence": "unknown", "faults": "unknown"} | dive for dive in entries]
+        names = Counter(dive["tags"][1] for dive in dives)
+        if same := [name for name, count in names.items() if count > 1]:
+            raise ConfigError(f"dives.toml: more than one dive has the name {listed(same)}")
+        return dives
+
+    @cached_property
+    def logs(self) -> dict[str, Path | UserError]:
+        """The log of each dive, by name: one that is there, else one that is fetched, else why there is none."""
+        files = [path for path in sorted(self.data.rglob("*")) if path.suffix in LOG_SUFFIXES]
+        local = {hashlib.sha256(log.read_bytes()).hexdigest(): log for log in files}
+        dives = manifest_dives(self.public / "dives.toml")
+        found = fetch_dives([FoundDive(local[dive.sha256]) if dive.sha256 in local else dive for dive in dives])
+        nowhere = LogError("its log is not published in this form")
+        logs = [dive.error or (dive.path if dive.path.exists() else nowhere) for dive in found]
+        return dict(zip((dive["tags"][1] for dive in self.dives), logs, strict=True))
 
 
 @dataclass
@@ -82,9 +101,9 @@ class Cell:
     reasons: dict[str, str] = field(default_factory=dict)  # by dive that could not be replayed
 
     @property
-    def is_planted(self) -> bool:
-        """Its verdict is known beforehand."""
-        return self.candidate.startswith("planted_")
+    def verdict(self) -> str:
+        """The word."""
+        return self.answer.verdict if self.answer else "missing"
 
     @cached_property
     def answer(self) -> AnyAnswer | None:
@@ -127,23 +146,17 @@ class Cell:
 
     @property
     def reason(self) -> str:
-        """Why it has no verdict, or no decision."""
-        if self.answer is None:
-            return NO_EVIDENCE if self.reports else "; ".join(self.without)
-        return (
-            self.answer.reason
-            if self.answer.verdict == Verdict.NOT_EVALUATED
-            else answers.reason_undecided(self.answer)
-        )
-
-    @property
-    def without(self) -> list[str]:
-        """The reasons of the dives that could not be replayed, each once."""
+        """Why it has no verdict, or no decision; then on how many dives it is not evaluated, and why."""
         dives: dict[str, list[str]] = {}
-        for dive, reason in self.reasons.items():
-            dives.setdefault(reason, []).append(dive)
-        is_all = len(dives) == 1 and not self.reports
-        return [reason if is_all else f"{', '.join(names)}: {reason}" for reason, names in dives.items()]
+        words = {dive: answers.answer_on_dive(report, self.candidate).reason for dive, report in self.reports.items()}
+        for dive, why in (words | self.reasons).items():
+            dives.setdefault(plain_reason(why, dive), []).append(dive)
+        pieces = [answers.reason_undecided(self.answer) if self.answer else NO_EVIDENCE if self.reports else ""]
+        for why, names in dives.items():
+            part = f" on {len(names)} of {counted(len(words | self.reasons), 'dive')}"
+            named = "" if self.data_set == ALL else f" ({', '.join(names)})"
+            pieces += [f"not evaluated{part}{named}: {why}" if len(dives) > 1 else why] if why else []
+        return "; ".join(filter(None, pieces))
 
 
 # --- The replays.
@@ -152,32 +165,32 @@ class Cell:
 def prepare(place: Place) -> None:
     """Set what the code of candidates needs, and compile the program in C++ where there is a compiler."""
     sys.path.insert(0, str(EXAMPLES))  # of the processes that replay
-    os.environ["BEAMSNET_WEIGHTS"] = str(place.data / "beamsnet" / "BeamsNetV2.pkl")
+    os.environ.setdefault("BEAMSNET_WEIGHTS", str(place.data / "beamsnet" / "BeamsNetV2.pkl"))
     source, program = EXAMPLES / "error_state_filter.cpp", place.build / "error_state_filter"
     is_new = program.is_file() and program.stat().st_mtime >= source.stat().st_mtime
     if not is_new and (compiler := shutil.which("c++")) is not None:
         place.build.mkdir(parents=True, exist_ok=True)
-        exact = ("-O2", "-std=c++17", "-ffp-contract=off")
-        subprocess.run([compiler, *exact, "-o", str(program), str(source)], check=True)
+        subprocess.run([compiler, "-O2", "-std=c++17", "-ffp-contract=off", "-o", program, source], check=True)
 
 
 def build(place: Place) -> list[Cell]:
     """Replay each candidate on each dive; return the cells over all dives, then those of each data set."""
-    logs = [path for path in sorted(place.data.rglob("*")) if path.suffix in LOG_SUFFIXES]
-    local = {hashlib.sha256(log.read_bytes()).hexdigest(): log for log in logs}
     data_sets: dict[str, list[dict[str, Any]]] = {}
     for dive in place.dives:
         data_sets.setdefault(dive["tags"][0], []).append(dive)
-    cells = [cell for name, dives in data_sets.items() for cell in replayed(name, dives, local, place)]
+    cells = [cell for name, dives in data_sets.items() for cell in replayed(name, dives, place)]
+    if not cells:
+        raise ConfigError(f"benchmarks/public/candidates/{place.candidates}.toml: does not exist")
     # A candidate in the folder of a data set is for this data set alone.
     general = dict.fromkeys(cell.candidate for cell in cells if cell.file.count("/") == 1)
     return [*(over_all([cell for cell in cells if cell.candidate == name]) for name in general), *cells]
 
 
-def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], local: Mapping[str, Path], place: Place) -> list[Cell]:
+def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], place: Place) -> list[Cell]:
     """Replay the dives of a data set through each candidate."""
     folder = place.public / "candidates"
-    files = {file.stem: file for part in (folder, folder / data_set) for file in sorted(part.glob("*.toml"))}
+    found = [file for part in (folder, folder / data_set) for file in sorted(part.glob(f"{place.candidates}.toml"))]
+    files = {file.stem: file for file in found}
     cells = {name: Cell(name, data_set, file.relative_to(place.public).as_posix()) for name, file in files.items()}
     arm_m = load_config(file=place.public / dives[0]["settings"]).dvl.lever_arm_m
     os.environ["BEAMSNET_ARM_M"] = ",".join(f"{length:.3f}" for length in arm_m)
@@ -186,46 +199,40 @@ def replayed(data_set: str, dives: Sequence[Mapping[str, Any]], local: Mapping[s
         name, settings = dive["tags"][1], place.public / dive["settings"]
         for candidate, cell in cells.items():
             try:
-                log = log_of(dive, local, place)
+                if isinstance(log := place.logs[name], UserError):
+                    raise log
                 config = load_config(file=[settings, files[candidate]], allow_code=True)
+                if candidate not in config.filters:
+                    raise ConfigError(f"{cell.file} has no filter {candidate}; file and filter must have the same name")
             except UserError as error:
-                cell.reasons[name] = plain_reason(error, name)
+                cell.reasons[name] = error.what
                 continue
             cell.code = bool(config.code)
+            is_class = any(":" in word for word in config.code)
+            cell.variables = "PYTHONPATH=../../examples/candidates " if is_class else ""
             if "beamsnet:BeamsNet" in config.code:
-                cell.variables = f"BEAMSNET_ARM_M={os.environ['BEAMSNET_ARM_M']} "
+                cell.variables += f"BEAMSNET_WEIGHTS=data/BeamsNetV2.pkl BEAMSNET_ARM_M={os.environ['BEAMSNET_ARM_M']} "
             target = place.build / candidate / data_set / name
             jobs.append(ReplayJob((log,), log, target, ReplayOptions(config, histories=False), replaces=True))
             owners.append((cell, name))
     known = known_reports(jobs, force=True)
-    is_code = any(cell.code for cell in cells.values())
-    pool = local_pool(JOBS, runs_code=is_code) if len(known) < len(jobs) else None
+    pool = local_pool(JOBS, runs_code=any(cell.code for cell in cells.values())) if len(known) < len(jobs) else None
     for (cell, name), outcome in zip(owners, replay_jobs(jobs, known, pool), strict=True):
         if isinstance(outcome.result, Report):
             cell.reports[name] = outcome.result
         else:
-            cell.reasons[name] = plain_reason(outcome.result, name)
+            cell.reasons[name] = getattr(outcome.result, "what", str(outcome.result))
     return [*cells.values()]
 
 
-def log_of(dive: Mapping[str, Any], local: Mapping[str, Path], place: Place) -> Path:
-    """Return the log of a dive: one that is there, else one that is fetched."""
-    if (log := local.get(dive["sha256"])) is not None:
-        return log
-    [found] = manifest_dives(place.public / "dives.toml", dive["tags"][1])
-    if found.error is not None:
-        raise found.error
-    if not found.path.exists():
-        raise LogError("is not published in this form")
-    return found.path
-
-
-def plain_reason(error: Exception, dive: str) -> str:
-    """Return the first clause of an error, without its dive and without the folders of this machine."""
-    text = error.what if isinstance(error, UserError) else str(error)
+def plain_reason(text: str, dive: str) -> str:
+    """Return an error without its dive, without the folders of this machine, and in plain words."""
     for folder in (PROJECT, PROJECT.parent):
         text = text.replace(f"{folder}/", "")
-    return " ".join(text.removeprefix(f"{dive}: ").partition(";")[0].split())
+    text = " ".join(text.removeprefix(f"{dive}: ").split())
+    for pattern, words in WORDS["reasons"].items():
+        text = re.sub(pattern, words, text)
+    return text
 
 
 def over_all(cells: Sequence[Cell]) -> Cell:
@@ -244,11 +251,12 @@ def over_all(cells: Sequence[Cell]) -> Cell:
 
 def written(page: str, cells: Sequence[Cell], dives: Sequence[Mapping[str, Any]]) -> str:
     """docs/benchmark.md as it should be."""
-    candidates = by_data_set(cell for cell in cells if not cell.is_planted)
+    candidates = by_data_set(cell for cell in cells if cell.candidate not in WORDS["planted"])
+    tables = {name: markdown_table(HEADER, map(row_of, of_set)) for name, of_set in candidates.items()}
     parts: dict[str, Callable[[], str]] = {
         "finding": lambda: finding(candidates),
-        "all": lambda: table(candidates[ALL]),
-        "sets": lambda: "\n\n".join(f"### {name}\n\n{table(candidates[name])}" for name in [*candidates][1:]),
+        "all": lambda: tables[ALL],
+        "sets": lambda: "\n\n".join(f"### {name}\n\n{tables[name]}" for name in tables if name != ALL),
         "checks": lambda: checks(by_data_set(cells)),
         "dives": lambda: dives_table(dives),
     }
@@ -263,64 +271,74 @@ def by_data_set(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
     return {name: sorted(of_set, key=lambda cell: cell.rank) for name, of_set in found.items()}
 
 
-def table(cells: Sequence[Cell]) -> str:
-    """Return cells, and below those of a data set the dives that some of them lack."""
-    header = ("filter", "evidence", "ratio", "95 % interval", "n", "verdict", "reason", "digest", "command")
-    some = [cell for cell in cells if cell.reports and cell.data_set != ALL]
-    lacking = [f"- `{cell.candidate}` without {why}" for cell in some for why in cell.without]
-    return "\n".join([markdown_table(header, map(row_of, cells)), *(["", *lacking] if lacking else [])])
-
-
 def row_of(cell: Cell) -> tuple[str, ...]:
     """Return a row of a table; the evidence of a mixed verdict is on two lines."""
     columns = (lambda row: label(row.quantity), lambda row: ratio_text(row.ratio), interval_text)
     evidence = ("<br>".join(map(column, cell.rows)) for column in columns)
-    verdict = cell.answer.verdict if cell.answer else "missing"
     digest, command = (f"`{text}`" if text else "" for text in (cell.digest, cell.command))
-    return f"`{cell.candidate}`", *evidence, counted(cell.dives, "dive"), verdict, cell.reason, digest, command
+    return f"`{cell.candidate}`", *evidence, counted(cell.dives, "dive"), cell.verdict, cell.reason, digest, command
 
 
 def checks(cells: Mapping[str, Sequence[Cell]]) -> str:
-    """Say how the planted candidates came out, and which of all filters are first and last."""
+    """Say how the planted candidates came out: first is only what is better, last only what is worse."""
     parts = []
     for name, ranked in cells.items():
-        evaluated = [f"`{cell.candidate}`" for cell in ranked if cell.rows]
-        places = f" First of {len(evaluated)} filters: {evaluated[0]}. Last: {evaluated[-1]}." if evaluated else ""
-        parts += [f"**{name}**.{places}", table([cell for cell in ranked if cell.is_planted])]
+        known, rows = [cell.candidate for cell in ranked if cell.rows], list[tuple[str, ...]]()
+        for cell in (cell for cell in ranked if cell.candidate in WORDS["planted"]):
+            place = {("better", *known[:1]): ", first", ("worse", *known[-1:]): ", last"}
+            word = f"{cell.verdict}{place.get((cell.verdict, cell.candidate), '')}"
+            must = "yes" if re.match(WORDS["planted"][cell.candidate], word) else "no" if cell.answer else "-"
+            rows.append((*row_of(cell)[:5], word, must, *row_of(cell)[6:]))
+        title = f"**{name}**, {counted(len(known), 'filter')} with evidence"
+        parts += [title, markdown_table((*HEADER[:6], "as it must", *HEADER[6:]), rows)]
     return "\n\n".join(parts)
 
 
 def dives_table(dives: Sequence[Mapping[str, Any]]) -> str:
     """List the dives, with a link where there is one."""
-    logs = [f"[log]({dive['url']})" if "url" in dive else "converted" for dive in dives]
+    logs = [f"[log]({dive['url']})" if "url" in dive else "no link" for dive in dives]
     rows = [(*dive["tags"], log, dive["licence"], dive["faults"]) for dive, log in zip(dives, logs, strict=True)]
     return markdown_table(("data set", "dive", "log", "licence", "known faults"), rows)
 
 
+def of_methods(cells: Sequence[Cell]) -> list[tuple[Cell, AnyAnswer]]:
+    """Return the cells of the paper's method with evidence, and their answers."""
+    found = {cell.candidate: (cell, cell.answer) for cell in cells if cell.rows and cell.answer}
+    return [found[name] for name in METHODS if name in found]
+
+
 def finding(cells: Mapping[str, Sequence[Cell]]) -> str:
-    """Say what the benchmark finds of the paper's method, what it leaves undecided, and on which dives."""
+    """Say what the benchmark finds of the paper's method, over all dives and dive by dive."""
     lines = [quote(cells), ""]
-    for method in METHODS:
-        known = [cell for of_set in cells.values() for cell in of_set if cell.candidate == method and cell.rows]
-        over_all, *of_sets = known
-        numbers = ", ".join(f"{cell.dives} of {cell.data_set}" for cell in of_sets)
-        counts = answers.verdict_counts(method, [report for cell in of_sets for report in cell.reports.values()])
-        found = over_all.answer
-        undecided = left_undecided(found.verdict, found.known).replace(";", ". All dives,") if found else ""
-        lines.append(f"- `{method}`: {numbers}. Dive by dive: {counts}{undecided}.")
+    for cell, answer in of_methods(cells[ALL]):
+        known = [one for one in cell.reports.values() if spoken_rows(answers.answer_on_dive(one, cell.candidate))]
+        counts = answers.verdict_counts(cell.candidate, known)
+        found = f"{cell.verdict}, {evidence_text(answer)}{left_undecided(answer.verdict, answer.known)}"
+        lines.append(f"- `{cell.candidate}`, {counted(cell.dives, 'dive')}: {found}. Dive by dive: {counts}.")
     return "\n".join(lines)
 
 
-def quote(cells: Mapping[str, Sequence[Cell]], link: str = "") -> str:
-    """Say it in two sentences, with a link to the page on other pages."""
-    found = {cell.candidate: cell for cell in cells[ALL]}
-    answered = [(cell, cell.answer) for cell in (found[name] for name in METHODS) if cell.answer]
-    published, windowed = (f"{AGAINST[answer.verdict]} none: {evidence_text(answer)}" for _, answer in answered)
-    dives = f"[public dives]({link})" if link else "public dives"
-    return (
-        f"On {answered[0][0].dives} {dives} with calibrated settings, acceleration aiding as published {published}. "
-        f"Predicted over the window of the velocities, it {windowed}."
-    )
+def quote(cells: Mapping[str, Sequence[Cell]]) -> str:
+    """Say on which dives the paper's method makes no difference, and what is undecided."""
+    equal, ends_pct, others = list[str](), [0.0], list[str]()
+    for name, found in ((name, of_methods(cells[name])) for name in cells if name != ALL):
+        rows, verdicts = [cell.rows[0] for cell, _ in found], {answer.verdict for _, answer in found}
+        count = max((cell.dives for cell, _ in found), default=0)
+        noun = WORDS["dives"].get(name, f"{{}} of {name}").format("dive" if count == 1 else "dives")
+        dives = f"{NUMBERS[count] if count < len(NUMBERS) else count} {noun}"
+        if verdicts == {Verdict.EQUIVALENT}:
+            equal.append(dives)
+            ends_pct += [100.0 * abs(end - 1.0) for row in rows for end in shown_interval(row) or ()]
+        elif found:
+            ratios = [f"{METHODS[row.filter]} {ratio_text(row.ratio)} ({interval_text(row)})" for row in rows]
+            others.append(f"On {dives} it is {' or '.join(sorted(verdicts))}: {', '.join(ratios)}")
+    left = [left_undecided(answer.verdict, answer.known) for _, answer in of_methods(cells[ALL])]
+    lists = [text.removeprefix("; undecided: ").split(", ") for text in left if text]
+    both = [name for name in lists[0] if all(name in names for names in lists)] if len(lists) == len(METHODS) else []
+    words = " and ".join(WORDS["quantities"].get(name, name) for name in both)
+    others += [f"over all dives, {words} is undecided too"] if both else []
+    change = f"acceleration aiding changes the drift in 30 s by less than {math.ceil(max(ends_pct))} %"
+    return ". ".join([*([f"On {' and on '.join(equal)}, {change}"] if equal else []), "; ".join(others)]) + "."
 
 
 def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
@@ -329,9 +347,8 @@ def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
     for name, ranked in cells.items():
         rows = []
         for cell in (cell for cell in ranked if cell.rows):
-            row, verdict = cell.rows[0], cell.answer.verdict if cell.answer else ""
-            text = f"{ratio_text(row.ratio)} {verdict}, {label(row.quantity)}"
-            rows.append(ForestRow(cell.candidate, row.ratio, shown_interval(row), verdict, text))
+            row, text = cell.rows[0], f"{ratio_text(cell.rows[0].ratio)} {cell.verdict}, {label(cell.rows[0].quantity)}"
+            rows.append(ForestRow(cell.candidate, row.ratio, shown_interval(row), cell.verdict, text))
         plot = re.search(r'<svg( width="100%" height="(\d+)">.*</svg>)', forest("", rows))
         if rows and plot is not None:
             drawn.append(f'<text x="8" y="{top + 18}">{name}</text><svg y="{top + ABOVE}"{plot[1]}')
@@ -343,18 +360,26 @@ def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img">\n{body}\n</svg>\n'.encode()
 
 
-def main() -> None:
-    """Write the page, its picture and the quotes."""
-    place = Place()
+def main(candidates: str = "*") -> None:
+    """Write the page, its picture and the quotes; of one candidate, or where dives are missing, print the rows."""
+    place, page = Place(candidates=candidates), PAGE.read_text("utf-8")
     prepare(place)
-    cells = build(place)
-    PAGE.write_text(written(PAGE.read_text("utf-8"), cells, place.dives), "utf-8")
-    candidates = by_data_set(cell for cell in cells if not cell.is_planted)
-    PICTURE.write_bytes(picture(candidates))
-    for page, link in QUOTED.items():
-        parts = {"benchmark": partial(quote, candidates, link)}
-        page.write_text(renewed(page.read_text("utf-8"), parts, COMMAND), "utf-8")
+    try:
+        cells = build(place)
+    except UserError as error:
+        sys.exit(f"error: {error}")
+    missing = [name for name, log in place.logs.items() if isinstance(log, UserError) and f"| {name} |" in page]
+    if candidates != "*" or missing:
+        new = [cell for cell in cells if candidates != "*" or f"| `{cell.candidate}` |" not in page]
+        why = f", since {counted(len(missing), 'dive')} of it cannot be had: {listed(missing)}" if missing else ""
+        sys.stdout.write(f"{markdown_table(HEADER, map(row_of, new or cells))}\nThe page stays as it is{why}.\n")
+        return
+    PAGE.write_text(written(page, cells, place.dives), "utf-8")
+    shown = by_data_set(cell for cell in cells if cell.candidate not in WORDS["planted"])
+    PICTURE.write_bytes(picture(shown))
+    for file in QUOTING:
+        file.write_text(renewed(file.read_text("utf-8"), {"benchmark": partial(quote, shown)}, COMMAND), "utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

@@ -4,6 +4,7 @@ import hashlib
 import re
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import benchmark
@@ -12,6 +13,7 @@ import pytest
 from insdvl_replay import read_result
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import Report
 from insdvl_replay.logs import write_dive
 from insdvl_replay.results.stored_results import read_one_result
@@ -24,7 +26,7 @@ ACCELERATION = 'aiding = ["velocity", "acceleration"]\nacceleration = { model = 
 NOISE = "[noise]\naccel_white_mps_rts = 0.005\ngyro_white_rad_rts = 1.2e-6\n[initial]\naccel_bias_sd_mg = 0.1\n"
 CANDIDATES = {
     "published": ACCELERATION.replace("MODEL", "published"),
-    "windowed": ACCELERATION.replace("MODEL", "windowed"),
+    "windowed_fitted": ACCELERATION.replace("MODEL", "windowed"),
     "with_depth": 'aiding = ["velocity", "depth"]',
     "planted_copy": VELOCITY,
     "planted_worse": f"{VELOCITY}\nvelocity_sd_mps = 5.0",
@@ -45,7 +47,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> benchmark.Place:
     entries.append(("0" * 64, "set_two", "three"))
     (place.public / "dives.toml").write_text(
         "".join(
-            f'[[dive]]\npath = "{name}.mcap"\nsha256 = "{digest}"\nlicence = "none"\nfaults = "none"\n'
+            f'[[dive]]\npath = "{name}.mcap"\nsha256 = "{digest}"\n'
             f'settings = "settings/vehicle.toml"\ntags = ["{data_set}", "{name}"]\n'
             for digest, data_set, name in entries
         )
@@ -83,7 +85,7 @@ def test_rows_are_those_of_the_results(cells: list[benchmark.Cell], place: bench
         if "-c candidates/planted_worse.toml" in row[-1] and "#set_one" in row[-1]
     )
     assert float(shown[2]) == pytest.approx(row["ratio"], rel=0.01)
-    assert shown[4:6] == ["1 dive", row["verdict"]]
+    assert shown[4:7] == ["1 dive", f"{row['verdict']}, last", "yes"]
     assert shown[-2] == f"`{cell.digest}`"
 
 
@@ -98,14 +100,16 @@ def test_a_second_build_replays_nothing_and_gives_the_same_bytes(
     assert page_of(again, place) == page_of(cells, place)
     assert benchmark.picture(benchmark.by_data_set(again)) == benchmark.picture(benchmark.by_data_set(cells))
     assert str(place.build.parent) not in page_of(cells, place)
+    assert "| set_one | one | no link | unknown | unknown |" in page_of(cells, place)
 
 
 def test_the_command_of_a_cell_repeats_it(
     cells: list[benchmark.Cell], place: benchmark.Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (cell,) = (cell for cell in cells if (cell.candidate, cell.data_set) == ("windowed", "set_one"))
+    (cell,) = (cell for cell in cells if (cell.candidate, cell.data_set) == ("windowed_fitted", "set_one"))
     shutil.copy(place.data / "one.mcap", place.public)
     monkeypatch.chdir(place.public)
+    assert cell.variables == ""
     program, *arguments = cell.command.split()
     assert program == "insdvl-replay"
     assert run_command_line([*arguments, "--output", str(place.build.parent / "again"), "--quiet"]) == 0
@@ -116,10 +120,58 @@ def test_the_command_of_a_cell_repeats_it(
 
 def test_missing_cells_have_a_reason(cells: list[benchmark.Cell], place: benchmark.Place) -> None:
     page = page_of(cells, place)
-    reasons = [row[-3] for row in rows_of(page) if "missing" in row]
-    assert len(reasons) == 3
-    assert all("depth" in reason for reason in reasons)
-    assert "- `windowed` without three: is not published in this form" in page
+    reasons = {(row[0], row[-1].partition("#")[2][:7]): row[-3] for row in rows_of(page)}
+    assert all("depth" in reasons["`with_depth`", data_set] for data_set in ("", "set_one", "set_two"))
+    nowhere = "its log is not published in this form"
+    assert reasons["`windowed_fitted`", "set_two"] == f"not evaluated on 1 of 2 dives (three): {nowhere}"
+    assert reasons["`published`", ""].endswith(f"not evaluated on 1 of 3 dives: {nowhere}")
+
+
+@pytest.mark.parametrize("candidates", ["windowed_fitted", "*"])
+def test_rows_of_one_filter_or_of_fewer_dives_are_printed_and_the_page_stays(
+    candidates: str,
+    cells: list[benchmark.Cell],
+    place: benchmark.Place,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(page_of(cells, place).replace("`published`", "`another`"))
+    monkeypatch.setattr(benchmark, "JOBS", 1)
+    monkeypatch.setattr(benchmark, "PAGE", page)
+    monkeypatch.setattr(benchmark, "QUOTING", ())
+    monkeypatch.setattr(benchmark, "Place", partial(replace, place))
+    monkeypatch.setattr(benchmark, "prepare", lambda place: None)
+    before = page.read_bytes()
+    benchmark.main(candidates)
+    said = capsys.readouterr().out
+    assert {row[0] for row in rows_of(said)} == {"`windowed_fitted`" if candidates != "*" else "`published`"}
+    assert len(rows_of(said)) == 3
+    assert "The page stays as it is, since 1 dive of it cannot be had: three." in said
+    assert page.read_bytes() == before
+
+
+def test_dives_with_one_name_and_files_with_another_filter_are_refused(place: benchmark.Place, tmp_path: Path) -> None:
+    again = replace(place, public=shutil.copytree(place.public, tmp_path / "public"))
+    candidates = again.public / "candidates"
+    (candidates / "windowed_fitted.toml").rename(candidates / "mine.toml")
+    cells = benchmark.build(replace(again, candidates="mine"))
+    assert {reason for cell in cells for reason in cell.reasons.values()} >= {
+        "candidates/mine.toml has no filter mine; file and filter must have the same name"
+    }
+    dives = again.public / "dives.toml"
+    dives.write_text(dives.read_text().replace('"two"]', '"one"]'))
+    with pytest.raises(ConfigError, match="more than one dive has the name one"):
+        benchmark.build(again)
+
+
+def test_reasons_are_plain() -> None:
+    assert benchmark.plain_reason(f"one: {benchmark.PROJECT}/docs is a folder", "one") == "docs is a folder"
+    of_class = "my:Net: readings(self, dive) fails in line 4 of examples/my.py: ValueError: the DVL has no single beams"
+    of_filter = "filters.mine is aided by beams, but the DVL has velocities only"
+    assert benchmark.plain_reason(of_class, "one") == benchmark.plain_reason(of_filter, "one")
+    assert benchmark.plain_reason(of_filter, "one") == "the DVL gives no velocity along single beams"
 
 
 def test_planted_candidates_come_out_as_they_must(cells: list[benchmark.Cell]) -> None:
@@ -161,5 +213,5 @@ def test_the_page_is_what_the_program_writes(snapir: Path) -> None:
     assert page_of(cells, PLACE) == benchmark.PAGE.read_text("utf-8"), "run `make benchmark`"
     candidates = benchmark.by_data_set(cell for cell in cells if not cell.is_planted)
     assert benchmark.picture(candidates) == benchmark.PICTURE.read_bytes(), "run `make benchmark`"
-    for page, link in benchmark.QUOTED.items():
-        assert benchmark.quote(candidates, link) in page.read_text("utf-8"), "run `make benchmark`"
+    for page in benchmark.QUOTING:
+        assert benchmark.quote(candidates) in page.read_text("utf-8"), "run `make benchmark`"
