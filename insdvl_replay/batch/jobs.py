@@ -254,9 +254,8 @@ def replay_jobs(
     Those that `known_reports` has found need no replay; they are taken out on the way. Outcomes are in the order of
     the jobs. Workers elsewhere may be in other folders, on other machines.
     """
-    todo = [job for job in jobs if job.target not in known]
+    todo = [job for job in jobs if job.target not in known and job.error is None]
     done = {job.target: Outcome(job, job.error) for job in jobs if job.error is not None}
-    todo = [job for job in todo if job.error is None]
     steps = track_progress("dive", todo)
     next(steps, None)
     sent = list(parallel_map(_for_elsewhere, todo)) if elsewhere else todo

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Final
+from urllib.parse import urlsplit
 
 from msgspec import Meta, Struct
 
@@ -80,9 +81,9 @@ def fetch_dives(dives: Sequence[FoundDive]) -> list[FoundDive]:
     stopped, stalled = Event(), set[str]()
 
     def had(dive: FoundDive) -> FoundDive:
-        host = dive.name_giver.parts[1] if dive.url else ""
+        host = urlsplit(dive.url).netloc
         try:
-            if host in stalled:
+            if dive.url and host in stalled:
                 raise LogError("its server stalled before", "try again later", dive.url)
             if dive.url:
                 return replace(dive, path=fetched(dive.url, dive.sha256, stopped.is_set))

@@ -63,7 +63,7 @@ def inspect(
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
-    from insdvl_replay.cli.screen import fetched, progress, written
+    from insdvl_replay.cli.screen import fetch_with_progress, progress, written
     from insdvl_replay.core.config_file import given_keys, load_config
     from insdvl_replay.core.result import as_json
     from insdvl_replay.inspection.inventory import inspection_result
@@ -88,7 +88,7 @@ def inspect(
     if format_ == "html" and len(found) > 1 and not one_dive:
         raise ConfigError(f"--format html: is a page of one dive, found {len(found)}", "name one log")
     if is_whole or one_dive:
-        found = fetched(found)
+        found = fetch_with_progress(found)
     dives = [found] if one_dive else [[dive] for dive in found]
     inventories: list[Inventory] = []
     inspected: list[Sequence[Path]] = []
@@ -216,7 +216,7 @@ def calibrate(
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
     from insdvl_replay.calibration.dives import answer_of, calibrate_dives, require_groups
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
-    from insdvl_replay.cli.screen import CALIBRATION, compiling, fetched, progress, written
+    from insdvl_replay.cli.screen import CALIBRATION, compiling, fetch_with_progress, progress, written
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.results.folder import require_replaceable_file, result_file
     from insdvl_replay.show.render import render
@@ -228,7 +228,7 @@ def calibrate(
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
-    logs_found = fetched(logs_found)
+    logs_found = fetch_with_progress(logs_found)
     with progress("calibrating", CALIBRATION, compiling()):
         dives, failed = _read(logs_found, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
@@ -394,7 +394,7 @@ def window(
       insdvl-replay study window dive.mcap --longest 20
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings
-    from insdvl_replay.cli.screen import fetched
+    from insdvl_replay.cli.screen import fetch_with_progress
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.studies.window import LEFT_OUT, study_window
 
@@ -402,7 +402,7 @@ def window(
     own = shared_settings(found, "study window")
     given = [*settings, *opt.span_settings(start, end)]
     resolved = load_config(preset, opt.settings_files(own, config), given, allow_code=True).without_code()
-    found = fetched(found)
+    found = fetch_with_progress(found)
     codes = [log_failure(dive.error, verbose) for dive in found if dive.error is not None]
     dives = [dive.path for dive in found if dive.error is None]
     if not dives:

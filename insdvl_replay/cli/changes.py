@@ -220,7 +220,7 @@ def check(
     from insdvl_replay.changes import gates as gating
     from insdvl_replay.changes.gate_file import chosen_gates, load_gates, write_expected
     from insdvl_replay.cli.run import outcomes
-    from insdvl_replay.cli.screen import fetched
+    from insdvl_replay.cli.screen import fetch_with_progress
     from insdvl_replay.core.config_file import load_config
     from insdvl_replay.core.words import GateStatus
     from insdvl_replay.results.folder import require_replaceable_file, result_file
@@ -260,7 +260,7 @@ def check(
         histories=histories,
     )
     replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
-    checked = checked_dives(chosen, fetched(found_dives), results, options, replayed, configs)
+    checked = checked_dives(chosen, fetch_with_progress(found_dives), results, options, replayed, configs)
     codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.expected is None for gate in chosen.gates):

@@ -129,7 +129,7 @@ def run(
         log_to_stderr,
         write_stdout,
     )
-    from insdvl_replay.cli.screen import fetched, written
+    from insdvl_replay.cli.screen import fetch_with_progress, written
     from insdvl_replay.core.config_file import given_keys
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
@@ -164,11 +164,11 @@ def run(
         from insdvl_replay.cli.changes import answer_against
 
         both = options, replace(options, config=changed.get(None, options.config))
-        sides = plan_both_sides(fetched(found), output, both, (configs, changed), one_dive=one_dive)
+        sides = plan_both_sides(fetch_with_progress(found), output, both, (configs, changed), one_dive=one_dive)
         dives = [job for _, planned in sides for job in planned]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
-    dives = plan_jobs(fetched(found), output, options, configs, one_dive=one_dive)
+    dives = plan_jobs(fetch_with_progress(found), output, options, configs, one_dive=one_dive)
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
     at_the_end = format_ in ("json", "csv", "html") or set(tables) in ({*TOGETHER}, *({name} for name in TOGETHER))

@@ -137,7 +137,7 @@ def progress(
         yield paused
 
 
-def fetched(dives: "Sequence[FoundDive]") -> "list[FoundDive]":
+def fetch_with_progress(dives: "Sequence[FoundDive]") -> "list[FoundDive]":
     """Fetch the remote logs of dives, and show the progress; each dive that cannot be had has its error."""
     from insdvl_replay.batch.manifest import fetch_dives
 

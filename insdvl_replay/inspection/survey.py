@@ -19,7 +19,7 @@ from insdvl_replay.core.words import Reading
 from insdvl_replay.inspection.dry_run import DryRun
 from insdvl_replay.inspection.inventory import Blocker, Inventory, LogFacts, RoleFacts, TopicFacts
 from insdvl_replay.inspection.proposal import propose, settings_toml, undecided_keys
-from insdvl_replay.logs.formats.log_file import by_topic
+from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.formats.remote import read_summary, remote_name
 from insdvl_replay.logs.read import Finding, find_roles, idle_sensors
@@ -118,27 +118,12 @@ def inspect_summary(url: str, config: Config) -> Inventory:
     role_of = _role_of(findings)
     topics = []
     for topic, same in sorted(by_topic(summary.channels).items()):
-        channel, count = max(same, key=lambda channel: channel.messages), sum(channel.messages for channel in same)
-        ids = {channel.id for channel in same}
+        count, ids = sum(channel.messages for channel in same), {channel.id for channel in same}
         chunks = [chunk for chunk in summary.chunks if not ids.isdisjoint(chunk.message_index_offsets)]
         start_ns = min((chunk.message_start_time for chunk in chunks), default=stated.message_start_time)
         end_ns = max((chunk.message_end_time for chunk in chunks), default=stated.message_end_time)
-        span_s = (end_ns - start_ns) * 1e-9
-        topics.append(
-            TopicFacts(
-                topic=topic,
-                type_name=channel.type_name,
-                encoding=channel.encoding,
-                schema_encoding=channel.schema_encoding,
-                role=role_of.get(topic, ""),
-                channels=len(same),
-                messages=count,
-                start_s=(start_ns - stated.message_start_time) * 1e-9 if count else None,
-                end_s=(end_ns - stated.message_start_time) * 1e-9 if count else None,
-                rate_hz=(count - 1) / span_s if count > 1 and span_s > 0.0 else None,
-                longest_gap_s=None,
-            )
-        )
+        span_s = tuple((time_ns - stated.message_start_time) * 1e-9 for time_ns in (start_ns, end_ns)) if count else ()
+        topics.append(_topic(same, role_of.get(topic, ""), count, span_s))
     facts = LogFacts(
         name=name,
         parts=1,
@@ -217,23 +202,31 @@ def _topic_facts(log: Recording, log_times: Mapping[int, TimeNs], findings: Sequ
     role_of = _role_of(findings)
     start_ns = min((int(times.min()) for times in log_times.values() if times.size), default=0)
     for topic, same in sorted(by_topic(log.channels).items()):
-        # The channel that has messages is the one to describe: some recorders register every topic twice.
-        channel = max(same, key=lambda channel: channel.messages)
         time_ns = np.concatenate([log_times[channel.id] for channel in same])
         # A stable sort takes next to no time for what is in order already.
         time_s = np.sort(seconds(time_ns, start_ns), kind="stable")
-        count = time_s.size
-        span_s = float(time_s[-1] - time_s[0]) if count else 0.0
-        yield TopicFacts(
-            topic=channel.topic,
-            type_name=channel.type_name,
-            encoding=channel.encoding,
-            schema_encoding=channel.schema_encoding,
-            role=role_of.get(topic, ""),
-            channels=len(same),
-            messages=count,
-            start_s=float(time_s[0]) if count else None,
-            end_s=float(time_s[-1]) if count else None,
-            rate_hz=(count - 1) / span_s if span_s > 0.0 else None,
-            longest_gap_s=float(np.diff(time_s).max()) if count > 1 else None,
-        )
+        span_s = (float(time_s[0]), float(time_s[-1])) if time_s.size else ()
+        gap_s = float(np.diff(time_s).max()) if time_s.size > 1 else None
+        yield _topic(same, role_of.get(topic, ""), time_s.size, span_s, gap_s)
+
+
+def _topic(
+    same: Sequence[LogChannel], role: str, count: int, span_s: tuple[float, ...], longest_gap_s: float | None = None
+) -> TopicFacts:
+    """Describe a topic by its channels and the times of its first and last message, if it has any."""
+    # The channel that has messages is the one to describe: some recorders register every topic twice.
+    channel = max(same, key=lambda channel: channel.messages)
+    length_s = span_s[1] - span_s[0] if span_s else 0.0
+    return TopicFacts(
+        topic=channel.topic,
+        type_name=channel.type_name,
+        encoding=channel.encoding,
+        schema_encoding=channel.schema_encoding,
+        role=role,
+        channels=len(same),
+        messages=count,
+        start_s=span_s[0] if span_s else None,
+        end_s=span_s[1] if span_s else None,
+        rate_hz=(count - 1) / length_s if count > 1 and length_s > 0.0 else None,
+        longest_gap_s=longest_gap_s,
+    )

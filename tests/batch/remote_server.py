@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 
@@ -97,3 +98,10 @@ def served(logs: dict[str, bytes]) -> Iterator[LogServer]:
         yield told
         server.shutdown()
         thread.join()
+
+
+def manifest(folder: Path, *dives: str) -> str:
+    """Write a manifest of dives, each by its keys, and return its path."""
+    path = folder / "dives.toml"
+    path.write_text("".join(f"[[dive]]\n{dive}\n" for dive in dives))
+    return str(path)

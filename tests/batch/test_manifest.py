@@ -2,12 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import fsspec
 import pytest
+from remote_server import manifest
 from small_logs import simulated
 
 from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
@@ -19,31 +17,11 @@ from insdvl_replay.logs.formats.recording import open_recording
 LOG = simulated()
 SHA256 = hashlib.sha256(LOG).hexdigest()
 WRONG = "0" * 64
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
-
-
-@pytest.fixture
-def memory() -> Iterator[Any]:
-    """A file system without files, by the URL ``memory://``."""
-    system = fsspec.filesystem("memory")
-    system.pipe("/dives/dive 1.mcap", LOG)
-    yield system
-    system.rm("/dives", recursive=True)
+pytestmark = pytest.mark.usefixtures("cache")
 
 
 def found_paths(*names: str) -> list[Path]:
     return usable_paths(fetch_dives(find_dives(names)))
-
-
-def manifest(folder: Path, *dives: str) -> str:
-    path = folder / "dives.toml"
-    path.write_text("".join(f"[[dive]]\n{dive}\n" for dive in dives))
-    return str(path)
 
 
 def test_paths_are_relative_to_the_manifest_and_chosen_by_tag(tmp_path: Path) -> None:

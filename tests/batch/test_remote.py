@@ -11,7 +11,7 @@ from typing import Any
 import fsspec
 import pytest
 from mcap.writer import Writer
-from remote_server import LogServer, served
+from remote_server import LogServer, manifest, served
 from small_logs import simulated, written
 
 from insdvl_replay.batch.dive_paths import find_dives
@@ -26,24 +26,13 @@ from insdvl_replay.logs.formats.remote import cache_folder, fetched
 LOG, OTHER = simulated(), written()
 SHA256 = hashlib.sha256(LOG).hexdigest()
 WRONG = "0" * 64
-
-
-@pytest.fixture(autouse=True)
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
+pytestmark = pytest.mark.usefixtures("cache")
 
 
 @pytest.fixture
 def server() -> Iterator[LogServer]:
     with served({"/dive.mcap": LOG}) as told:
         yield told
-
-
-def manifest(folder: Path, *dives: str) -> str:
-    path = folder / "dives.toml"
-    path.write_text("".join(f"[[dive]]\n{dive}\n" for dive in dives))
-    return str(path)
 
 
 def kept(cache: Path) -> list[Path]:
@@ -116,7 +105,7 @@ def test_nothing_is_kept_of_a_server_that_misbehaves(
     assert not kept(cache)
 
 
-@pytest.mark.parametrize("url", ["memory://dives/none.mcap", "unknown://x", "http://127.0.0.1:9/x.mcap"])
+@pytest.mark.parametrize("url", ["memory://dives/none.mcap", "unknown://x", "https://", "http://127.0.0.1:9/x.mcap"])
 def test_what_cannot_be_fetched_is_an_error_of_that_dive(tmp_path: Path, cache: Path, url: str) -> None:
     (tmp_path / "a.mcap").write_bytes(LOG)
     first, second = fetch_dives(
@@ -273,7 +262,10 @@ def long_log(hours: float, chunk_s: float) -> bytes:
     return stream.getvalue()
 
 
-@pytest.mark.parametrize("chunk_s", [20.0, 2.0], ids=["1 MB of sensors", "1 MB with a camera"])
+@pytest.mark.parametrize(
+    "chunk_s",
+    [pytest.param(20.0, id="1 MB of sensors"), pytest.param(2.0, marks=pytest.mark.nightly, id="1 MB with a camera")],
+)
 def test_a_log_of_six_hours_takes_two_requests_and_512_kib(chunk_s: float) -> None:
     with served({"/long.mcap": long_log(6.0, chunk_s)}) as server:
         found = inspect_summary(f"{server.url}/long.mcap", Config())

@@ -113,7 +113,7 @@ def test_no_such_dive_of_ten_does(scenario: str, grade: str) -> None:
         assert not found & {"delay", "arm_x", "arm_y", "arm_z"}, seed
 
 
-@pytest.mark.parametrize("times", [1.0, 10.0])
+@pytest.mark.parametrize("times", [1.0, pytest.param(10.0, marks=pytest.mark.nightly)])
 def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_built_in(times: float) -> None:
     """Nor do they say anything of their own, with an IMU as noisy or with one that is far noisier there."""
     config, sensors = load_config("mems"), GRADES["mems"]

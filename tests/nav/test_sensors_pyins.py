@@ -15,16 +15,9 @@ START_SD_M, FIX_SD_M, DEPTH_SD_M = 5.0, 0.5, 0.05
 @pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins calls pandas the old way
 @pytest.mark.parametrize(
     ("scenario", "sensor"),
-    [
-        pytest.param("straight", "position", marks=pytest.mark.nightly),
-        ("figure-eight", "position"),
-        *(
-            pytest.param(scenario, sensor, marks=pytest.mark.nightly)
-            for sensor in ("depth", None)
-            for scenario in ("straight", "figure-eight")
-        ),
-    ],
+    [(scenario, sensor) for sensor in ("position", "depth", None) for scenario in ("straight", "figure-eight")],
 )
+@pytest.mark.nightly
 def test_fifteen_states_predict_what_those_of_python_ins_predict(scenario: str, sensor: str | None) -> None:
     case = Case(scenario, sensors={"position": SensorErrors(FIX_SD_M), "depth": SensorErrors(DEPTH_SD_M)})
     dive = case.dive()

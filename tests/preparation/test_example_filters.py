@@ -109,6 +109,7 @@ def test_the_network_takes_out_the_scale_that_it_was_trained_with(weights: Path)
     assert rms_mps[2] < rms_mps[0]
 
 
+@pytest.mark.nightly
 def test_the_network_is_evaluated_as_a_measurement(weights: Path, dive: Dive) -> None:
     replay = replayed(dive, Filter(aiding=("beamsnet:BeamsNet",), states=()))
     assert "user_measurement_jacobian" not in {note.code for note in replay.notes}

@@ -190,7 +190,7 @@ def test_a_filter_that_is_lost_is_set_to_its_beams_again() -> None:
     np.testing.assert_allclose(by_beams.velocity_n[-1], by_velocity.velocity_n[-1], rtol=0.0, atol=0.05)
 
 
-@pytest.mark.parametrize("word", ["velocity", "beams"])
+@pytest.mark.parametrize("word", [pytest.param("velocity", marks=pytest.mark.nightly), "beams"])
 def test_a_filter_that_is_thrown_off_comes_back_to_its_other_sensors(word: str) -> None:
     """Ten readings of the IMU that are false move it by 2 m/s, and by some 10 m until it is set to the DVL again."""
     dive = simulated(3, sensors={"depth": SensorErrors(0.05, 4.0), "position": SensorErrors(1.0, 1.0)})

@@ -62,6 +62,7 @@ def heading_nees(replay: Replay, history: History) -> Floats:
     return np.asarray((error / history.sd[ours, PHI.stop - 1]) ** 2)
 
 
+@pytest.mark.nightly
 def test_the_heading_is_as_sure_as_its_filter_says_where_its_slow_error_is_estimated() -> None:
     """Each dive holds some three independent values of the error: the mean over eight is within 0.4 to 1.8 in 95 %."""
     replays = [replayed(dive_with_slow_heading(seed)) for seed in range(8)]

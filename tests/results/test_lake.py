@@ -252,6 +252,7 @@ def answer(query: str) -> tuple[Any, float]:
     return value, min(times_s)
 
 
+@pytest.mark.nightly
 def test_queries_of_the_page_answer_within_a_second(archive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(archive)
     assert len(pd.read_parquet("lake")) == 10_000

@@ -13,13 +13,13 @@ import shutil
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 from urllib.parse import quote, unquote, urlsplit
 
 from mcap import records
@@ -31,9 +31,6 @@ from zlib_ng import zlib_ng
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE, MAGIC, log_channels, walk
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 STALLED_S: float = 30.0  # without a byte from the server
 SLOWEST: Final = 1000  # bytes a second, over twice this time
@@ -193,7 +190,7 @@ def _state(system: Any, path: str) -> dict[str, str | int]:
 
 
 @contextmanager
-def _refused(url: str) -> "Iterator[None]":
+def _refused(url: str) -> Iterator[None]:
     """Turn whatever a library makes of a server or of this disk into a LogError."""
     try:
         yield
