@@ -15,7 +15,7 @@ from insdvl_replay.geometry.rotation import rpy_from_mat
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.sim.dive import simulate_dive
 
-FORMATS = ("csv", "tsv", "npz", "parquet", "mat", "h5")
+FORMATS = ("csv", "tsv", "npz", "parquet", "mat")
 SECTIONS = ("imu", "dvl", "reference")
 Tables = dict[str, dict[str, NDArray[Any]]]
 """The columns of each table by their titles."""
@@ -82,13 +82,6 @@ def write_tables(folder: Path, tables: Tables, ending: str) -> tuple[Path, dict[
         from scipy.io import savemat
 
         savemat(single, plain)
-    elif ending == "h5":
-        import h5py
-
-        with h5py.File(single, "w") as file:
-            for name, table in plain.items():
-                for title, column in table.items():
-                    file[f"{name}/{title}"] = column
     else:
         for name, table in tables.items():
             path, frame = folder / f"{name}.{ending}", pd.DataFrame(table)

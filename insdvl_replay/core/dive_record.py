@@ -14,7 +14,8 @@ from insdvl_replay.core.errors import ConfigError
 
 # Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to.
 LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
-# Endings of tables. Those of a folder without logs are one dive.
+# Endings of tables. Those of a folder without logs are one dive. HDF5 is not read, but its files are found, so that
+# they are refused with what helps.
 TABLE_SUFFIXES: Final = (".csv", ".tsv", ".npy", ".npz", ".parquet", ".mat", ".h5", ".hdf5")
 LONGEST_NAME: Final = 255  # Bytes of a name that file systems keep.
 

@@ -2,7 +2,9 @@
 
 from contextlib import suppress
 from pathlib import Path
+from time import process_time
 
+import msgspec
 import numpy as np
 import pytest
 from made_tables import FORMATS, HARMS, SECTIONS, recorded, settings, tables_of, write_tables
@@ -16,7 +18,7 @@ from insdvl_replay.logs.formats.fields import open_reader
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.replay import replay_log
 
-NEEDS = {"parquet": "pyarrow", "h5": "h5py"}
+NEEDS = {"parquet": "pyarrow"}
 IMU = Imu(topic="imu.csv", specific_force="ax, ay, az", angular_rate="gx, gy, gz")
 DVL = Dvl(topic="dvl.csv", velocity="vx, vy, vz")
 
@@ -147,9 +149,36 @@ def test_columns_of_one_title_and_other_encodings_of_text(tmp_path: Path) -> Non
         dive_file = open_recording(tmp_path / name)
         (channel,) = dive_file.channels
         (block,) = dive_file.blocks({channel.id})
-        columns = open_reader(channel, ["v", "v_", "4", "3"]).columns(block)
-        assert [columns[path][7].tolist() for path in ("v", "v_", "4", "3")] == [[7.5], [7.25], [-1.0], [7.25]]
+        columns = open_reader(channel, ["v", "v_2", "4", "3"]).columns(block)
+        assert [columns[path][7].tolist() for path in ("v", "v_2", "4", "3")] == [[7.5], [7.25], [-1.0], [7.25]]
         assert not dive_file.notes
+
+
+def rows_of(cells: int) -> str:
+    return 3 * (",".join(["1.5"] * cells) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("titles", "refused"),
+    [
+        (["time", "[" + 3000 * " " + "x", "b"], "title of column 2 has 3002 letters"),
+        (["time", 60_000 * "[", "b"], "title of column 2 has 60000 letters"),
+        ([f"c{number}" for number in range(20_000)], "has 20000 columns; 4096 are read"),
+        (["a"] * 4000, ""),
+        (["a_2", *(f"a_{number}" for number in range(3, 2000)), *["a"] * 2000], ""),
+    ],
+)
+def test_strange_titles_take_no_long_time(tmp_path: Path, titles: list[str], refused: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(",".join(titles) + "\n" + rows_of(len(titles)))
+    before_s = process_time()
+    if refused:
+        with pytest.raises(LogError, match=refused):
+            open_recording(path)
+    else:
+        (channel,) = open_recording(path).channels
+        assert len(dict(msgspec.json.decode(channel.schema_data))) == len(titles)
+    assert process_time() - before_s < 5.0
 
 
 def test_arrays_are_grouped_by_length_and_by_time(tmp_path: Path) -> None:

@@ -53,7 +53,8 @@ def test_file_that_is_not_read_is_reported_by_its_bytes_with_the_step_that_helps
     known: OtherFormat, data: bytes, tmp_path: Path
 ) -> None:
     # Named like something else, where bytes tell.
-    name = "dive.mcap" if known.starts or ".tlog" in known.endings else f"dive{known.endings[0]}"
+    named_otherwise = "dive.csv" if known.any_name else "dive.mcap"
+    name = named_otherwise if known.starts or ".tlog" in known.endings else f"dive{known.endings[0]}"
     (tmp_path / name).write_bytes(data)
     with pytest.raises(LogError) as raised:
         read_dive(tmp_path / name, Config())

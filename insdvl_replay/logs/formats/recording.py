@@ -46,11 +46,13 @@ def open_log_file(path: Path) -> LogFile:
         return BagFile(file)
     if start.startswith(MAGIC):
         return McapFile(file)
-    if path.suffix.lower() in TABLE_SUFFIXES:
+    other = other_format(path, start)
+    is_other = other is not None and other.any_name
+    if path.suffix.lower() in TABLE_SUFFIXES and not is_other:
         from insdvl_replay.logs.formats.table_file import TableFile
 
         return TableFile(file)
-    if (other := other_format(path, start)) is not None:
+    if other is not None:
         raise LogError(f"is {other.name}, which is not read", other.step.format(path=path), path)
     return McapFile(file)
 
@@ -288,6 +290,7 @@ class OtherFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     starts: tuple[str, ...]
     endings: tuple[str, ...]
     step: str
+    any_name: bool = False
 
 
 OTHER_FORMATS: Final = msgspec.toml.decode(

@@ -1,4 +1,4 @@
-"""Tables as logs: files of CSV, TSV, numpy, Parquet, MATLAB and HDF5, whose rows are messages with decoded columns.
+"""Tables as logs: files of CSV, TSV, numpy, Parquet and MATLAB, whose rows are messages with decoded columns.
 
 Libraries read the formats. Each table is a topic, named after its file. Its fields are its columns, whose names are in
 lower case, without unit, with ``_`` for other signs: ``ACC X [m/s^2]`` is ``acc_x``. A number counts columns from 1. A
@@ -26,7 +26,7 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, TIME_UNITS_NS, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError, most_opened
 
-_UNIT: Final = re.compile(r"\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_UNIT: Final = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _UNIT_WORDS: Final = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
     "µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "m/s^2": "m/s2", "m/s²": "m/s2",
@@ -43,6 +43,8 @@ _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times tha
 _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
 _LATEST_NS: Final = 4e18  # differences of times must be whole numbers of 64 bits, too
 _LARGEST: Final = 1e100  # larger numbers are not finite, or their squares are not
+_LONGEST_TITLE: Final = 200  # letters
+_MOST_COLUMNS: Final = 4096  # in a file
 _WIDEST: Final = 64  # numbers in a row of an array that is one quantity
 _ROWS: Final = 1 << 16  # rows of a block
 _SAVE_AGAIN: Final = "save it again; for arrays: numpy.savez(path, time=..., acc=..., gyro=...)"
@@ -65,7 +67,8 @@ def clean_name(title: str) -> str:
 def unit_of(title: str) -> str:
     """Return the unit that the title of a column has in brackets; empty without one."""
     found = _UNIT.search(title)
-    return _UNIT_WORDS.get(found[1].lower(), found[1]) if found else ""
+    unit = found[1].strip() if found else ""
+    return _UNIT_WORDS.get(unit.lower(), unit)
 
 
 class TableFile(LogFile):
@@ -138,7 +141,7 @@ class TableFile(LogFile):
         """Read the tables of the file by its first bytes, else as text."""
         content = self.file.read(0, len(self.file))
         start, suffix = bytes(content[:20]), self.path.suffix.lower()
-        if not start.startswith((b"\x93NUMPY", b"PK", b"PAR1", b"MATLAB", b"\x89HDF")):
+        if not start.startswith((b"\x93NUMPY", b"PK", b"PAR1", b"MATLAB")):
             yield self._text(bytes(content))
             return
         try:
@@ -181,6 +184,7 @@ class TableFile(LogFile):
             head += 1
         cells = [len(line.split()) if separator is None else line.count(separator) + 1 for line in lines[head:]]
         width = Counter(cells).most_common(1)[0][0] if cells else 0
+        self._require_few(width)
         if width < 2:
             what = f"is no table: {counted(len(cells), 'line')} with numbers, {counted(width, 'column')}"
             raise UnusableFileError(what, "give a table of numbers whose first line names the columns", self.path)
@@ -218,10 +222,13 @@ class TableFile(LogFile):
     def _named(self, topic: str, columns: Iterable[tuple[str, NDArray[Any]]]) -> _Table:
         """Make a table of columns by their titles; what is not a number in a column of numbers is missing."""
         table = _Table(topic, {}, {})
+        names = _Names()
         for title, given in columns:
-            name, values = clean_name(title) or "column", given
-            while name in table.columns:
-                name += "_"
+            if len(title) > _LONGEST_TITLE:
+                what = f"the title of column {len(table.columns) + 1} has {len(title)} letters: '{title[:20]}...'"
+                raise LogError(what, f"shorten it to {_LONGEST_TITLE} letters", self.path)
+            name = names.unique(clean_name(title) or "column")
+            values = given
             if values.dtype.kind not in "biufM":
                 values = self._numbers(topic, title, values)
             if values.dtype.kind == "M":
@@ -235,6 +242,12 @@ class TableFile(LogFile):
             self._note("table_decimal_comma", topic, clause, self._commas)
             self._commas = 0
         return table
+
+    def _require_few(self, count: int) -> None:
+        """Refuse a file with more columns than a log of sensors can have."""
+        if count > _MOST_COLUMNS:
+            what = f"has {count} columns; {_MOST_COLUMNS} are read"
+            raise LogError(what, "write the columns of the IMU, the DVL and the reference to tables", self.path)
 
     def _numbers(self, topic: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
         """Read cells that are not all numbers; dates become nanoseconds, a column of text has no numbers."""
@@ -272,6 +285,7 @@ class TableFile(LogFile):
 
     def _of_arrays(self, arrays: Mapping[str, NDArray[Any]]) -> Iterator[_Table]:
         """Make tables of arrays: those with the same number of rows and one time are one table."""
+        self._require_few(len(arrays))
         groups: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
         for name, array in arrays.items():
             values = array.squeeze()
@@ -332,7 +346,7 @@ class TableFile(LogFile):
 
 
 def _arrays(content: memoryview, start: bytes) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file of numpy, MATLAB or HDF5 by their names; a dot joins those of structures."""
+    """Read the arrays of a file of numpy or MATLAB by their names; a dot joins those of structures."""
     found: dict[str, NDArray[Any]] = {}
 
     def take(name: str, value: Any) -> None:
@@ -354,20 +368,31 @@ def _arrays(content: memoryview, start: bytes) -> dict[str, NDArray[Any]]:
                 raise ValueError("it opens to more than a file of its size can hold")
         with np.load(BytesIO(content)) as arrays:
             take("", dict(arrays))
-    elif start.startswith(b"MATLAB 5"):
+    else:
         from scipy.io import loadmat
 
         stream: Any = BytesIO(content)
         read = loadmat(stream, simplify_cells=True)
         take("", {name: value for name, value in read.items() if not name.startswith("__")})
-    else:
-        import h5py
-
-        with h5py.File(BytesIO(content)) as file:
-            file.visititems(
-                lambda name, item: take(name.replace("/", "."), item[()]) if isinstance(item, h5py.Dataset) else None
-            )
     return found
+
+
+class _Names:
+    """Names of columns, each once: of equal ones, the second is ``name_2``."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+        self._counts: Counter[str] = Counter()
+
+    def unique(self, name: str) -> str:
+        """Return the name, or the next with a number that no column has."""
+        unique = name
+        self._counts[name] += 1
+        while unique in self._taken:
+            unique = f"{name}_{self._counts[name]}"
+            self._counts[name] += 1
+        self._taken.add(unique)
+        return unique
 
 
 def _first_word(name: str) -> str:
