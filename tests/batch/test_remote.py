@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import time
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
@@ -202,7 +203,8 @@ def test_parts_of_killed_processes_are_removed(server: LogServer, cache: Path) -
     for folder in (left, now):
         folder.mkdir(parents=True)
         (folder / "dive.mcap").write_bytes(LOG)
-    os.utime(left, (0, 0))
+    for folder, hours in ((left, 25.0), (now, 23.0)):
+        os.utime(folder, (0.0, time.time() - 3600.0 * hours))
     fetched(f"{server.url}/dive.mcap")
     assert not left.exists()
     assert now.exists()

@@ -130,6 +130,8 @@ def test_a_value_at_one_time() -> None:
     assert "at 100 s" in told
     [told] = sentences(over_time(at_s=1000.0), new)
     assert told.endswith(" 1000 s")
+    assert sentences(over_time(at_s=400.0), new) == [], "one second after the last sample is near enough"
+    assert len(sentences(over_time(at_s=400.1), new)) == 1
 
 
 def test_a_trajectory_is_read_back_to_the_bit_and_is_the_same_bytes(tmp_path: Path) -> None:

@@ -200,6 +200,24 @@ def test_single_gyro_that_turns_the_other_way_is_reported(turning: Dive) -> None
     assert "angular rate starboard" in note.text
 
 
+@pytest.mark.parametrize(("swing_deg", "reported"), [(2.8, False), (3.2, True)])
+def test_gyro_is_held_against_attitudes_that_swing_by_three_degrees_about_its_axis(
+    swing_deg: float, reported: bool
+) -> None:
+    """A vehicle that turns to both sides, and pitches a little, with a starboard gyro of the wrong sign."""
+    at_s = np.arange(0.0, 60.0, 0.02)
+    pitch, yaw = 0.5 * swing_deg * DEG * np.sin(0.7 * at_s), 0.8 * np.sin(0.3 * at_s)
+    mat_nb = mat_from_rpy(np.stack([np.zeros_like(at_s), pitch, yaw], axis=1))
+    skewed = np.swapaxes(mat_nb, 1, 2) @ np.gradient(mat_nb, at_s, axis=0)
+    rate_b = np.stack([skewed[:, 2, 1], skewed[:, 0, 2], skewed[:, 1, 0]], axis=1)
+    time_ns, unknown = np.rint(at_s * 1e9).astype(np.int64), np.full((300, 3), np.nan)
+    imu = ImuColumns(time_ns, mat_nb[:, 2] * -9.8, rate_b * [1.0, -1.0, 1.0])
+    reference = ReferenceColumns(time_ns[::10], unknown, unknown, mat_nb[::10])
+    dvl = DvlColumns(time_ns[::50], None, None, np.tile([1.0, 0.0, 0.0], (60, 1)), None)
+    found = {note.code for note in plausibility_notes("a.mcap", imu, dvl, reference, Config())}
+    assert ("imu_gyro_axis" in found) is reported
+
+
 def test_positions_that_contradict_the_velocity_next_to_them_are_reported(turning: Dive) -> None:
     reference = reference_of(turning)
     swapped = replace(reference, position=reference.position[:, [1, 0, 2]])

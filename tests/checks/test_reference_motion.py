@@ -105,6 +105,16 @@ def test_standard_error_of_the_scale_is_its_scatter(straight: Dive) -> None:
     assert numbers[:, 0].std() < 1.5 * numbers[:, 1].mean()
 
 
+@pytest.mark.parametrize(("off_pct", "reported"), [(2.0, False), (4.2, True)])
+def test_scale_is_reported_from_three_standard_errors_on(straight: Dive, off_pct: float, reported: bool) -> None:
+    """With 1 m of noise at both ends of 42 legs of 21 m, the standard error of the scale is 1.04 %."""
+    for seed in range(4):
+        notes = found(
+            straight, lambda reference, seed=seed: noisy(1.0, seed)(faster(1.0 / (1.0 + off_pct / 100.0))(reference))
+        )
+        assert [note.code for note in notes] == (["reference_scale"] if reported else [])
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_noise_of_the_velocity_is_no_scale(seed: int) -> None:
     """Of a slow vehicle, a noisy velocity makes a regression on it too small."""

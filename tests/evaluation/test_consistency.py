@@ -223,6 +223,15 @@ def test_filter_that_loses_its_way_again_and_again_is_dead(
     )
 
 
+@pytest.mark.parametrize(("pings", "times", "dead"), [(30, 1, False), (30, 2, True), (400, 4, False), (400, 5, True)])
+def test_a_second_reset_is_too_many_in_a_short_dive_and_one_in_a_hundred_pings_in_a_long_one(
+    pings: int, times: int, dead: bool
+) -> None:
+    made = history("one", np.full(pings, 3.0), np.ones(pings))
+    innovations = replace(made.innovations[0], reopened=np.arange(pings) < times)
+    assert bool(diverged_filters((replace(made, innovations=(innovations,)),))) is dead
+
+
 def test_dead_filters_are_found() -> None:
     few, many = (history(name, np.full(100, 3.0), np.arange(100) >= n) for name, n in (("few", 10), ("many", 11)))
     broken = replace(history("broken", np.full(100, 3.0)), velocity_n=np.array([[0.0, np.nan, 0.0]]))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.convergence import MeasuredConvergence, measured_convergence
@@ -31,6 +32,18 @@ def test_times_have_the_closed_form(power: float) -> None:
 def test_starts_that_err_alike_leave_no_doubt() -> None:
     found = measured_convergence(falling(1.0), falling(1.0, 0.5), TIME_S)
     np.testing.assert_allclose(found.interval[1:5], found.interval.ratio, rtol=1e-9)
+
+
+def test_ends_of_the_interval_are_those_of_the_binomial_distribution() -> None:
+    """Half of the starts err twice as much: a resampled mean square depends on how many of these are drawn alone."""
+    size = np.where(np.arange(STARTS) < STARTS / 2, 1.0, 2.0)
+    candidate = 0.25 * size[:, None] ** 2 * falling(1.0)
+    found = measured_convergence(falling(1.0), candidate, TIME_S).interval
+    ends = (found.low, found.high, found.low90, found.high90)
+    for end, share in zip(ends, (0.025, 0.975, 0.05, 0.95), strict=True):
+        larger = binom(STARTS, 0.5).ppf(share)
+        mean_square = (STARTS + 3.0 * larger) / STARTS
+        assert end / found.ratio == pytest.approx(np.sqrt(mean_square / 2.5), rel=0.01)
 
 
 def test_ratio_is_the_same_in_any_unit_of_time_and_error() -> None:

@@ -12,7 +12,8 @@ from matched_sensors import MATCHED
 from scipy import signal, stats
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import Dive, Floats
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns
+from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import CREDIBILITY_GROUPS, CREDIBILITY_QUANTITIES
 from insdvl_replay.core.states import BA, DEG, PHI, STATES
 from insdvl_replay.core.words import Reason
@@ -21,11 +22,14 @@ from insdvl_replay.evaluation.credibility import (
     FAR_SMALLER,
     MANY_FAR_OFF,
     StateErrors,
+    about_vehicle,
     credibility_table,
     nees,
+    state_errors,
     whitened,
 )
 from insdvl_replay.evaluation.series import samples_in_mean_square
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.replay import Replay, replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
 from insdvl_replay.studies.montecarlo import matched_errors
@@ -107,6 +111,42 @@ def test_misalignment_about_north_is_the_roll_of_who_heads_north(heading_deg: fl
     table = judged(replace(errors, error=error, heading=np.full(K, heading_deg * DEG)))
     for other in ("roll", "pitch", "heading"):
         assert table.loc[other, "mean_nees"] == pytest.approx(9.0 if other == quantity else 0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("heading_deg", [30.0, 120.0, -130.0])
+def test_misalignment_about_the_track_is_roll_with_its_variance(heading_deg: float) -> None:
+    """A lean about the vehicle's own axis, which P knows to be all that is wrong, and nothing about the other axis."""
+    ahead_n = np.array([np.cos(heading_deg * DEG), np.sin(heading_deg * DEG)])
+    errors = drawn(k=2)
+    error = np.zeros((2, 12))
+    error[:, PHI.start : PHI.start + 2] = 2e-3 * ahead_n
+    level = slice(PHI.start, PHI.start + 2)
+    cov = np.zeros((2, 12, 12))
+    cov[:, level, level] = 1e-6 * np.outer(ahead_n, ahead_n)
+    found = about_vehicle(replace(errors, error=error, cov=cov, heading=np.full(2, heading_deg * DEG)))
+    np.testing.assert_allclose(found.error[:, level], [[2e-3, 0.0]] * 2, atol=1e-15)
+    np.testing.assert_allclose(found.cov[:, level, level], [[[1e-6, 0.0], [0.0, 0.0]]] * 2, atol=1e-18)
+
+
+def test_heading_of_the_errors_is_that_of_the_reference() -> None:
+    mat_nb = mat_from_rpy(np.array([[0.1, -0.2, -2.0]]))
+    time_ns, nothing = np.zeros(1, np.int64), np.zeros((1, 3))
+    reference = ReferenceColumns(time_ns, nothing, nothing, mat_nb)
+    history = History(
+        "aided",
+        time_ns,
+        np.ones(1, np.bool_),
+        nothing,
+        nothing,
+        mat_nb,
+        nothing,
+        nothing,
+        np.ones((1, 12)),
+        time_ns,
+        np.eye(12)[None],
+        (),
+    )
+    assert state_errors(history, reference, None).heading.tolist() == pytest.approx([-2.0])
 
 
 def test_interval_is_that_of_the_independent_samples() -> None:

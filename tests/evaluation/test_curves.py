@@ -1,11 +1,13 @@
 """Curves of convergence: rms of errors whose answer is known, and the same times as the table has."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.evaluation.convergence import convergence_curves, measured_convergences
-from insdvl_replay.evaluation.reference_errors import DrawnErrors
+from insdvl_replay.evaluation.reference_errors import DrawnErrors, squared_errors
 
 STARTS, END_S = 9, 400.0
 TIME_S = np.arange(0.2, END_S + 0.1, 0.2)
@@ -61,3 +63,10 @@ def test_a_long_dive_has_hardly_more_points_than_a_short_one() -> None:
         for one in curves
     )
     assert held < 50_000
+
+
+def test_level_is_the_mean_square_of_roll_and_pitch() -> None:
+    errors = drawn("aided", 1.0)
+    error = np.zeros_like(errors.error)
+    error[..., 3], error[..., 4] = 3.0, 5.0
+    assert np.unique(squared_errors(replace(errors, error=error))["level"]).tolist() == [17.0]

@@ -212,6 +212,18 @@ def test_interval_over_drawn_starts_holds_what_is_true() -> None:
     assert np.median([interval.effective_samples for interval in intervals]) == pytest.approx(16.0, rel=0.25)
 
 
+def test_starts_whose_errors_stay_are_worth_as_many_as_are_free() -> None:
+    """Each of four starts has one ratio through the dive: nothing varies in time, and one mean is taken off."""
+    starts, n = 4, 100
+    size = 1.0 + 0.01 * np.array([3.0, -1.0, -4.0, 2.0])
+    noise = 1.0 + 1e-6 * np.random.default_rng(14).standard_normal((starts, n))
+    found = paired_ratio(np.ones((starts, n)), size[:, None] * noise)
+    assert found.effective_samples == pytest.approx(starts - 1.0, rel=1e-3)
+    sd = 0.5 * size.std(ddof=1) / size.mean() / np.sqrt(starts)
+    width = 0.5 * np.log(found.high / found.low)
+    assert width == pytest.approx(student_t.isf(0.025, starts - 1) * sd, rel=0.05)
+
+
 def test_one_start_alone_is_the_same_with_and_without_an_axis() -> None:
     baseline, candidate = alike_pairs(np.random.default_rng(13), 0.5, 1, 100)
     assert paired_ratio(baseline, candidate) == paired_ratio(baseline[0], candidate[0])

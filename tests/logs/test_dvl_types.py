@@ -294,6 +294,16 @@ def test_nortek_by_sentences(name: str, field: str, read: Any) -> None:
     assert codes(dive)["dvl_not_finite"] == 3
 
 
+def test_the_least_16_bits_in_mm_per_s_stand_for_no_velocity(read: Any) -> None:
+    dive = read(
+        "nortek_dvl/msg/ButtomTrack",
+        lambda i: {"speed": xyz([-32768.0] * 3 if i in (2, 3, 9) else 1e3 * TRUE_D[i])},
+        velocity_unit="mm/s",
+    )
+    np.testing.assert_allclose(by_velocity(dive), np.delete(TRUE_D, [2, 3, 9], axis=0), atol=1e-12)
+    assert codes(dive)["dvl_not_finite"] == 3
+
+
 def df21(i: int) -> dict[str, Any]:
     beam_bits, xyz_bits = (0b1011 if i == 2 else 0b1111), (0b0101 if i == 3 else 0b0111)
     values = dict(zip(("velX", "velY", "velZ1", "velZ2"), [*TRUE_D[i].tolist(), 9.0], strict=True))

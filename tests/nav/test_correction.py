@@ -12,6 +12,7 @@ from insdvl_replay.nav.algebra import matrix, vector
 from insdvl_replay.nav.earth_model import local_earth_at
 from insdvl_replay.nav.error_model import layout_of
 from insdvl_replay.nav.kalman import correct, keep_invariant_error
+from insdvl_replay.nav.measurements import VELOCITY, InsNow, Measurement, Memory, linearise, stacked
 from insdvl_replay.nav.strapdown import NavState
 
 VELOCITY_N = np.array([1.2, -0.7, 0.3])
@@ -42,8 +43,8 @@ def transformation() -> Floats:
     return T
 
 
-def random_cov(seed: int) -> Floats:
-    root = np.random.default_rng(seed).normal(size=(12, 12))
+def random_cov(seed: int, n: int = 12) -> Floats:
+    root = np.random.default_rng(seed).normal(size=(n, n))
     return root @ root.T
 
 
@@ -88,3 +89,30 @@ def test_estimated_errors_are_taken_out_of_the_state() -> None:
     np.testing.assert_allclose(corrected.mat_nb, turned(-dx[PHI]) @ mat_nb, rtol=0.0, atol=1e-15)
     np.testing.assert_allclose(corrected.accel_bias_b, bias_b + dx[BA], rtol=1e-14)
     np.testing.assert_allclose(corrected.gyro_bias_b, bias_b + dx[BG], rtol=1e-14)
+
+
+def test_a_corrected_velocity_leaves_what_the_dvl_has_measured_of_scale_and_yaw() -> None:
+    """H holds against finite differences elsewhere; H P H' about the corrected velocity is what it was before."""
+    layout = layout_of(("dvl_scale", "dvl_yaw"))
+    constants = np.array([0.03, 0.2])
+    mat_nb = matrix(turned(np.array([0.3, -0.2, 2.0])))
+    earth = local_earth_at(0.57, -20.0)
+    reading = Measurement("", "", VELOCITY, np.arange(1), np.zeros((1, 3)), np.eye(3)[None], np.ones(1, np.bool_))
+
+    def measured(velocity_n: Floats, P: Floats) -> Floats:
+        nothing = np.zeros((1, 3))
+        memory = Memory(nothing, nothing, nothing)
+        ins = InsNow(
+            (0.57, 0.6, -20.0), vector(velocity_n), mat_nb, NOTHING, memory, 9.8, NOTHING, earth, NOTHING, constants
+        )
+        z, H = np.empty(3), np.empty((3, 14))
+        linearise(stacked([reading]), 0, 0, ins, layout, None, z, H)
+        return H @ P @ H.T
+
+    P = random_cov(7, 14)
+    before = measured(VELOCITY_N, P)
+    state = NavState((0.57, 0.6, -20.0), vector(VELOCITY_N), mat_nb, NOTHING, NOTHING)
+    dx = np.concatenate([CHANGE_N, np.zeros(11)])
+    corrected = correct(state, constants, P, dx, layout, earth)
+    np.testing.assert_allclose(corrected.velocity_n, VELOCITY_N - CHANGE_N, rtol=1e-14)
+    np.testing.assert_allclose(measured(np.array(corrected.velocity_n), P), before, rtol=1e-12)

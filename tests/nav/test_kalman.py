@@ -6,7 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.nav.kalman import cholesky, innovation_cov, normalised_square, transposed_gain, update_cov
+from insdvl_replay.nav.kalman import (
+    WINDOW,
+    chance_var,
+    cholesky,
+    innovation_cov,
+    normalised_square,
+    transposed_gain,
+    update_cov,
+)
 
 
 def random_case(seed: int, size: int = 3, n: int = 12) -> tuple[Floats, Floats, Floats, Floats]:
@@ -51,3 +59,19 @@ def test_a_covariance_that_is_none_is_not_used() -> None:
     L = np.empty((3, 3))
     cholesky(np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), L)
     assert np.isnan(normalised_square(L, np.ones(3), np.empty(3)))
+
+
+@pytest.mark.parametrize(("size", "ins_share", "used"), [(3, 0.0, 1.0), (1, 0.0, 2.5), (3, 0.5, 2.5)])
+def test_chance_of_the_noise_factor_is_that_of_an_exponential_mean_of_squares(
+    size: int, ins_share: float, used: float
+) -> None:
+    """Squares of unit normals have the variance 2, which a mean with the weight a makes a / (2 - a) of."""
+    settings_var = 0.02**2
+    R = used * settings_var * np.eye(size)
+    S = R + ins_share * settings_var * np.eye(size)
+    var = 0.0
+    for _ in range(1000):
+        var = chance_var(var, used, S, R)
+    weight = 1.0 / WINDOW
+    expected = 2.0 / size * (1.0 + ins_share) ** 2 * weight / (2.0 - weight)
+    assert var == pytest.approx(expected, rel=1e-9)

@@ -287,9 +287,9 @@ def test_an_older_result_goes_back_where_a_new_one_cannot_take_its_place(
     assert list(tmp_path.iterdir()) == [target]
 
 
-def aged(folder: Path) -> None:
+def aged(folder: Path, hours: float) -> None:
     for path in (*folder.rglob("*"), folder):
-        os.utime(path, (0.0, time.time() - 90_000.0))
+        os.utime(path, (0.0, time.time() - 3600.0 * hours))
 
 
 def test_what_a_killed_run_left_is_removed_after_a_day_and_nothing_else(tmp_path: Path) -> None:
@@ -297,8 +297,7 @@ def test_what_a_killed_run_left_is_removed_after_a_day_and_nothing_else(tmp_path
     for name in names:
         (tmp_path / name).mkdir()
         (tmp_path / name / "notes.txt").write_text("half")
-        if not name.endswith("running"):
-            aged(tmp_path / name)
+        aged(tmp_path / name, 23.0 if name.endswith("running") else 25.0)
     written(tmp_path / "dive", "new")
     assert {path.name for path in tmp_path.iterdir()} == names - {".insdvl-replay-killed"} | {"dive"}
 
@@ -307,7 +306,7 @@ def test_a_run_of_days_that_still_writes_keeps_its_folder(tmp_path: Path) -> Non
     file = tmp_path / ".insdvl-replay-long" / "new" / "replay.mcap"
     file.parent.mkdir(parents=True)
     file.write_text("half")
-    aged(file.parents[1])
+    aged(file.parents[1], 25.0)
     os.utime(file)
     written(tmp_path / "dive", "new")
     assert file.exists()
@@ -333,7 +332,7 @@ def test_an_older_result_goes_back_after_a_kill_between_two_renames(
     (hidden,) = tmp_path.iterdir()
     if word == "newer":  # it was made again in the meantime
         written(target, "newer")
-    aged(hidden)
+    aged(hidden, 25.0)
     written(tmp_path / "another", "new")
     assert f'"{word}"' in (target / COMPLETE).read_text()
     assert not hidden.exists()
