@@ -19,6 +19,7 @@ from insdvl_replay.core.dive_columns import (
     ImuColumns,
     ReferenceColumns,
     TimeNs,
+    in_pauses,
     nanoseconds,
     seconds,
 )
@@ -173,14 +174,17 @@ def track_by_positions(
         return None
     fixes = fixes[lies_within(reference.time_ns[fixes], ping_ns)]
     fix_ns, position = reference.time_ns[fixes], reference.position[fixes]
-    # Pairs of fixes that are ten seconds apart, without a long pause of the pings between them.
+    # Pairs of fixes that are ten seconds apart. None has a part in a long pause of the pings or of the IMU, where
+    # nobody saw how the vehicle moved.
     last = np.searchsorted(fix_ns, fix_ns + 10 * NS_PER_S)
     first = np.flatnonzero(last < len(fix_ns))
     last = last[first]
-    pauses_ns = ping_ns[1:][np.diff(ping_ns) > nanoseconds(LONGEST_STEP_S)]
-    heard = np.searchsorted(pauses_ns, fix_ns[first]) == np.searchsorted(pauses_ns, fix_ns[last])
-    close = fix_ns[last] - fix_ns[first] < 20 * NS_PER_S
-    first, last = first[heard & close], last[heard & close]
+    longest_ns = nanoseconds(LONGEST_STEP_S)
+    paused = in_pauses(fix_ns[first], fix_ns[last], ping_ns, longest_ns)
+    paused |= in_pauses(fix_ns[first], fix_ns[last], imu.time_ns, longest_ns)
+    usable = ~paused & (fix_ns[last] - fix_ns[first] < 20 * NS_PER_S)
+    first = first[usable]
+    last = last[usable]
     if len(first) < ENOUGH:
         return None
     north_m, east_m = north_east_m(position, position[0], position[0])

@@ -16,6 +16,7 @@ from insdvl_replay.core.dive_columns import (
     ReferenceColumns,
     TimeNs,
     find_runs,
+    in_pauses,
     nanoseconds,
     seconds,
 )
@@ -156,6 +157,8 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
     summed = np.diff(turned_by(imu, time_s), axis=0)
     # Slower turns than 0.3 deg/s are below the noise of differences of attitudes.
     good = (size > 0.3 * DEG * step_s) & (step_s <= LONGEST_STEP_S) & (size < 1.0)
+    ends_ns = reference.time_ns[rows]
+    good &= ~in_pauses(ends_ns[:-1], ends_ns[1:], imu.time_ns, nanoseconds(LONGEST_STEP_S))
     if np.count_nonzero(good) < ENOUGH:
         return None
     product, power, summed_power = (

@@ -32,7 +32,15 @@ from insdvl_replay.checks.imu import (
 )
 from insdvl_replay.checks.sentences import Remark, refusal, warning
 from insdvl_replay.core.config import Config, Imu
-from insdvl_replay.core.dive_columns import DvlColumns, Floats, ImuColumns, ReferenceColumns, seconds
+from insdvl_replay.core.dive_columns import (
+    DvlColumns,
+    Floats,
+    ImuColumns,
+    ReferenceColumns,
+    in_pauses,
+    nanoseconds,
+    seconds,
+)
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
@@ -163,6 +171,8 @@ def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
     unseen = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:]) - shown
     unlike = np.fmin(np.linalg.norm(unseen, axis=1), least_difference(unseen))
     unlike[np.diff(time_s) > 1.5] = np.nan  # in longer steps a turning vehicle turns unlike in the ones around
+    ends_ns = reference.time_ns[rows]
+    unlike[in_pauses(ends_ns[:-1], ends_ns[1:], imu.time_ns, nanoseconds(LONGEST_STEP_S))] = np.nan
     smallest = np.maximum(5.0 * DEG, np.linalg.norm(shown, axis=1))
     yield from _jump_notes("attitudes", unlike, smallest, "deg", DEG, time_s - time_s[0])
 

@@ -53,6 +53,15 @@ def find_runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.in
     return edges[::2], edges[1::2]
 
 
+def in_pauses(from_ns: TimeNs, to_ns: TimeNs, sample_ns: TimeNs, longest_ns: float) -> NDArray[np.bool_]:
+    """Return which spans, shape (k,), have a part in a pause: between samples that are further apart than longest."""
+    begins = np.flatnonzero(np.diff(sample_ns) > longest_ns)
+    # Such a pause begins before the span ends, and ends after the span begins.
+    begun = np.searchsorted(sample_ns[begins], to_ns, "left")
+    ended = np.searchsorted(sample_ns[begins + 1], from_ns, "right")
+    return np.asarray(ended < begun)
+
+
 def nothing(shape: tuple[int, ...]) -> Floats:
     """Return missing numbers: one NaN stands for all, and cannot be written to."""
     return np.broadcast_to(np.nan, shape)

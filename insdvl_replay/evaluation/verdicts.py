@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 from scipy.special import chdtrc
 
-from insdvl_replay.core.dive_columns import NS_PER_S
+from insdvl_replay.core.dive_columns import NS_PER_S, in_pauses
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
@@ -208,10 +208,7 @@ def far_off(history: History, baseline: History, errors: Mapping[str, ReferenceE
     steps_m = np.diff(found.position_error_ned_m[known, :2], axis=0, prepend=[[0.0, 0.0]])
     if len(ping_ns) > 1:
         seen_ns = np.unique(np.concatenate([time_ns[:1], ping_ns, time_ns[-1:]]))
-        begins = np.flatnonzero(np.diff(seen_ns) > OUTAGE * np.median(np.diff(ping_ns)))
-        # A step of the reference is in an outage that ends after it begins and begins before it ends.
-        ended = np.searchsorted(seen_ns[begins + 1], time_ns[:-1], "right")
-        silent = ended < np.searchsorted(seen_ns[begins], time_ns[1:], "left")
+        silent = in_pauses(time_ns[:-1], time_ns[1:], seen_ns, OUTAGE * float(np.median(np.diff(ping_ns))))
         if 2 * np.diff(time_ns)[silent].sum() <= time_ns[-1] - time_ns[0]:
             steps_m[silent] = 0.0
     square_m2 = np.sum(np.cumsum(steps_m, axis=0) ** 2) / max(len(steps_m), 1)

@@ -133,6 +133,33 @@ def test_imu_of_10_hz_is_refused_unless_allowed_and_of_20_hz_a_warning() -> None
     assert set(notes_of(medium)) == {"imu_slow"}
 
 
+@pytest.mark.parametrize("silent", [[(40.0, 70.0)], [(20.0, 27.0), (60.0, 85.0), (140.0, 152.0)]])
+def test_fixes_in_a_pause_of_the_dvl_do_not_count_against_the_reference(
+    silent: list[tuple[float, float]], turning: Dive
+) -> None:
+    """Nobody knows how the vehicle moved in a pause, so pairs of fixes with an end inside it compare nothing."""
+    ping_s = seconds(turning.dvl.time_ns, turning.dvl.time_ns[0])
+    heard = np.ones(len(ping_s), np.bool_)
+    for from_s, to_s in silent:
+        heard &= (ping_s < from_s) | (ping_s > to_s)
+    dive = replace(positions_only(turning), dvl=turning.dvl.rows(heard))
+    track = track_by_positions(dive.imu, dive.dvl, reference_of(dive), Config())
+    assert track is not None
+    assert track.coherence > 0.9999
+    assert wrap_angle(np.array(track.heading - heading_at_start(turning))) == pytest.approx(0.0, abs=1.0 * DEG)
+    assert not notes_of(dive)
+
+
+def test_turns_in_a_pause_of_the_imu_do_not_count_against_the_gyros(turning: Dive) -> None:
+    sample_s = seconds(turning.imu.time_ns, turning.imu.time_ns[0])
+    dive = replace(turning, imu=turning.imu.rows((sample_s < 90.0) | (sample_s > 130.0)))
+    found = gyro_by_attitude(dive.imu, reference_of(dive))
+    assert found is not None
+    assert found.scale == pytest.approx(1.0, abs=0.01)
+    assert found.correlation > 0.999
+    assert not notes_of(dive)
+
+
 def test_long_gap_does_not_make_an_imu_slow(turning: Dive) -> None:
     late = np.where(seconds(turning.imu.time_ns, turning.imu.time_ns[0]) > 100.0, 7200 * 10**9, 0)
     imu = replace(turning.imu, time_ns=turning.imu.time_ns + late)
