@@ -3,7 +3,7 @@
 `logs` makes them from files, `sim` from nothing; the filters cannot tell which.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
@@ -39,6 +39,18 @@ def is_new(values: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
     new = np.ones(values.size, np.bool_)
     new[1:] = values[1:] != values[:-1]
     return new
+
+
+def in_spans(time_ns: TimeNs, spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Return which times lie after the start of any of some spans, up to its end, shape (k,).
+
+    Spans are in the order of time and do not overlap: however many there are, each time looks at one.
+    """
+    if not spans:
+        return np.zeros(len(time_ns), np.bool_)
+    start_ns, end_ns = np.array(spans, dtype=np.int64).T
+    begun = np.searchsorted(start_ns, time_ns)
+    return np.asarray((begun > 0) & (time_ns <= end_ns[begun - 1]))
 
 
 def distinct(time_ns: TimeNs) -> TimeNs:

@@ -19,6 +19,7 @@ from insdvl_replay.core.dive_columns import (
     SolutionColumns,
     TimeNs,
     TruthColumns,
+    in_spans,
 )
 from insdvl_replay.core.dive_record import Channel, Clock, dive_name
 from insdvl_replay.core.errors import LogError, Note, counted_clause, error_context
@@ -132,7 +133,7 @@ def held_back_messages(
             of_dvl.append(source)
     for table in read_tables(log, of_dvl):
         time_ns = table.time_ns()
-        absent = np.any([(time_ns > before_ns) & (time_ns <= last_ns) for before_ns, last_ns in outages], axis=0)
+        absent = in_spans(time_ns, outages)
         found.setdefault(table.source.topic, table.columns["log_time"][absent, 0])
     return found
 

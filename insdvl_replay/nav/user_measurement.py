@@ -58,6 +58,12 @@ class NoiseFactors:
     time_ns: TimeNs  # (k,), strictly increasing
     factors: Floats  # (k, 6), of the standard deviations of accelerometers and gyros, axis by axis in b
 
+    def within(self, start_ns: int, end_ns: int) -> "NoiseFactors":
+        """Keep the row that holds at the start, if one does, and those up to the end."""
+        first, last = np.searchsorted(self.time_ns, (start_ns, end_ns), "right")
+        rows = slice(max(int(first) - 1, 0), int(last))
+        return NoiseFactors(self.time_ns[rows], self.factors[rows])
+
 
 class UserMeasurement:
     """A user-defined measurement; made without arguments."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, TimeNs, in_spans
 from insdvl_replay.core.errors import ConfigError, Note, UserError, error_context, listed
 from insdvl_replay.core.quantities import COMPONENTS
 from insdvl_replay.core.runtime import plain
@@ -253,7 +253,8 @@ def _tried_prediction(
 def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_ns: int = NO_END) -> Dive:
     """Return the dive that user code is given: up to a time, without held-out sensors and without pings in outages.
 
-    The reference and solutions may be made of either, and are absent with it. So are topics that carry it.
+    The reference and solutions may be made of either, and are absent with it. So are topics that carry it. Outages are
+    in the order of time and do not overlap.
     """
     held_out = config.evaluation.held_out
     if not (held_out or outages):
@@ -263,10 +264,7 @@ def given_dive(dive: Dive, config: Config, outages: Sequence[Outage] = (), end_n
     mixed = {name for name, role in carried.items() if role.startswith(("reference", "filters."))}
 
     def known(time_ns: TimeNs, *, dvl: bool = True) -> NDArray[np.bool_]:
-        keep = time_ns <= end_ns
-        for before_ns, last_ns in outages if dvl else ():
-            keep &= (time_ns <= before_ns) | (time_ns > last_ns)
-        return np.asarray(keep)
+        return np.asarray((time_ns <= end_ns) & ~in_spans(time_ns, outages if dvl else ()))
 
     reference = None if held_out else dive.reference
     return replace(

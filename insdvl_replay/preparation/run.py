@@ -35,8 +35,9 @@ from insdvl_replay.evaluation.outage_test import (
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
 from insdvl_replay.geometry.frames import north_east_m
 from insdvl_replay.nav.dvl import parity_innovations
-from insdvl_replay.nav.filter import run_filter, run_outage
+from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
+from insdvl_replay.nav.outage import gravity_drift, run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.notes import note
@@ -189,13 +190,14 @@ def run_outages(
     measured = prepared.velocities, prepared.mounting, prepared.gaps
 
     def outages(filter_: ResolvedFilter, history: History) -> tuple[OutageRun, ...]:
-        found = dict[tuple[int, int], OutageRun]()
+        found, drift = dict[tuple[int, int], OutageRun](), gravity_drift(history)
         (velocity,) = replace(filter_, aiding=("velocity",), held_out=()).measurements(*measured)
         for windows, part, line in groups:
             aiding = filter_.measurements(*measured, part.sensors, prepared.beams)
             others = (measurement for measurement in aiding if measurement.sensor >= FIRST_OTHER)
             kept, settings = (velocity, *others), _filter_settings(filter_, part)
-            found |= {window: outage_run(run_outage(history, line, window, kept, **settings)) for window in windows}
+            for window in windows:
+                found[window] = outage_run(run_outage(history, drift, line, window, kept, **settings))
         return tuple(found[window] for window in plan.windows_ns)
 
     runs = _side_by_side(timeline, outages, prepared.filters, histories)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from insdvl_replay.core.dive_columns import ImuColumns, distinct
+from insdvl_replay.core.dive_columns import ImuColumns, distinct, in_spans
 
 TIMES = st.lists(st.one_of(st.integers(0, 20), st.integers(-(2**63), 2**63 - 1)), max_size=50)
 
@@ -13,6 +13,15 @@ TIMES = st.lists(st.one_of(st.integers(0, 20), st.integers(-(2**63), 2**63 - 1))
 def test_distinct_times_are_those_of_numpy(times: list[int]) -> None:
     time_ns = np.array(times, np.int64)
     np.testing.assert_array_equal(distinct(time_ns), np.unique(time_ns))
+
+
+@given(st.lists(st.integers(0, 40), max_size=20), st.lists(st.integers(0, 40), max_size=8, unique=True))
+def test_times_in_spans_are_those_that_lie_in_one_of_them(times: list[int], edges: list[int]) -> None:
+    """A span ends where the next one may begin; its start does not belong to it."""
+    ordered = sorted(edges)
+    spans = list(zip(ordered[::2], ordered[1::2], strict=False))
+    expected = [any(start < time <= end for start, end in spans) for time in times]
+    assert in_spans(np.array(times, np.int64), spans).tolist() == expected
 
 
 def test_usual_step_is_the_median_and_unknown_of_a_single_sample() -> None:

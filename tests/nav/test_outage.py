@@ -5,6 +5,7 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
+from counted import Counted, counted
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -16,9 +17,11 @@ from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG
 from insdvl_replay.evaluation.outage_test import OutageRun, outage_run
 from insdvl_replay.geometry.earth import EARTH_RATE
 from insdvl_replay.nav.dvl import DvlBeams, beam_measurements
-from insdvl_replay.nav.filter import restart, run_filter, run_outage
+from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.measurements import Measurement
+from insdvl_replay.nav.outage import GravityDrift, gravity_drift, restart, run_outage
 from insdvl_replay.nav.timeline import Timeline
+from insdvl_replay.nav.user_measurement import NoiseFactors
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive
 from insdvl_replay.preparation.run import plan_runs, prepared_timeline, run_candidates, run_one
 from insdvl_replay.sim.dive import add_errors, exact_dive, simulate_dive
@@ -33,8 +36,8 @@ NOWHERE_ELSE = np.zeros(3)
 class Flight:
     """A vehicle that goes straight on, its sensors exact, and a filter that knows all of its state."""
 
-    def __init__(self) -> None:
-        dive = exact_dive("straight", duration_s=70.0, imu_rate_hz=20.0, dvl_rate_hz=DVL_HZ)
+    def __init__(self, duration_s: float = 70.0) -> None:
+        dive = exact_dive("straight", duration_s=duration_s, imu_rate_hz=20.0, dvl_rate_hz=DVL_HZ)
         self.start = prepare_dive(dive, Config())
         self.timeline = prepared_timeline(dive, self.start)
         self.ping_ns = self.start.velocities.time_ns
@@ -51,9 +54,11 @@ class Flight:
         velocity: Measurement | None = None,
     ) -> OutageRun:
         """OutageRun with some part of all this in error."""
+        history = history or self.history
         return outage_run(
             run_outage(
-                history or self.history,
+                history,
+                gravity_drift(history),
                 timeline or self.timeline,
                 (int(self.ping_ns[FROM]), int(self.ping_ns[TO])),
                 noise_density=self.start.filters[0].noise_density,
@@ -218,8 +223,8 @@ def assert_same_coast(dive: Dive, config: Config, at_s: float, length_s: float) 
     (velocity,) = replace(filter_, aiding=("velocity",)).measurements(start.velocities, start.mounting)
     window_ns = int(ping_ns[first]), int(ping_ns[last])
     coasted = run_outage(
-        history, timeline, window_ns, noise_density=filter_.noise_density, measurements=(velocity,),
-        lever_arm_b=start.mounting.lever_arm_b,
+        history, gravity_drift(history), timeline, window_ns, noise_density=filter_.noise_density,
+        measurements=(velocity,), lever_arm_b=start.mounting.lever_arm_b,
     )  # fmt: skip
     whole = told_nothing(start, timeline, first, last)
     rows = np.searchsorted(whole.time_ns, coasted.time_ns)
@@ -255,7 +260,7 @@ def test_what_measures_the_velocity_down_holds_the_height(
     flight: Flight, monkeypatch: pytest.MonkeyPatch, holds_height: bool
 ) -> None:
     """After an outage its height has drifted; without a measurement of it nothing says by how much."""
-    monkeypatch.setattr("insdvl_replay.nav.filter.HOLD_AFTER_S", 10.0)
+    monkeypatch.setattr("insdvl_replay.nav.outage.HOLD_AFTER_S", 10.0)
     rising = replace(flight.history, position=flight.history.position + np.arange(len(flight.history.time_ns))[:, None])
     (velocity,) = flight.history.innovations
     velocity = replace(
@@ -263,9 +268,70 @@ def test_what_measures_the_velocity_down_holds_the_height(
         used=velocity.used & ((velocity.time_ns < flight.ping_ns[10]) | (velocity.time_ns > flight.ping_ns[50])),
         holds_height=holds_height,
     )
-    height_m = restart(replace(rising, innovations=(velocity,)), int(flight.ping_ns[TO])).position[2]
+    silent = replace(rising, innovations=(velocity,))
+    height_m = restart(silent, gravity_drift(silent), int(flight.ping_ns[TO])).position[2]
     own_m = rising.position[np.searchsorted(rising.time_ns, flight.ping_ns[TO]), 2]
     assert (height_m < own_m) == holds_height
+
+
+def test_a_window_knows_the_drifts_before_it(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two times without velocities, from ping 10 to 31 and from 40 to 56; gravity follows for 10 s, then it is held."""
+    monkeypatch.setattr("insdvl_replay.nav.outage.HOLD_AFTER_S", 10.0)
+    (velocity,) = flight.history.innovations
+    ping = np.arange(len(velocity.used))
+    used = (ping <= 10) | ((ping >= 31) & (ping <= 40)) | (ping >= 56)
+    position = flight.history.position.copy()
+    position[:, 2] = (flight.history.time_ns - flight.history.time_ns[0]) / NS_PER_S
+    risen = replace(flight.history, position=position, innovations=(replace(velocity, used=used),))
+    drift = gravity_drift(risen)
+    heights_m = [restart(risen, drift, int(flight.ping_ns[at])).position[2] for at in (5, 30, 31, 45, 60)]
+    own_m = position[np.searchsorted(risen.time_ns, flight.ping_ns[[5, 30, 31, 45, 60]]), 2]
+    np.testing.assert_allclose(own_m - heights_m, [0.0, 0.0, 11.0, 11.0, 17.0], atol=1e-9)
+
+
+def touched_by_a_window(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Count the elements that are gone through before the filter runs in a window."""
+    history, timeline, drift = flight.history, flight.timeline, gravity_drift(flight.history)
+    columns = {name: counted(getattr(history, name)) for name in ("time_ns", "cov_ns", "position", "sd", "cov")}
+    of_velocity = {name: counted(getattr(flight.velocity, name)) for name in ("values", "cov", "available")}
+    updates = replace(history.innovations[0], time_ns=counted(history.innovations[0].time_ns))
+    factors = NoiseFactors(counted(timeline.sample_ns), counted(np.ones((len(timeline.sample_ns), 6))))
+    given = list[NoiseFactors]()
+    monkeypatch.setattr(
+        "insdvl_replay.nav.outage.run_filter", lambda *_, noise_factors, **__: given.append(noise_factors)
+    )
+    Counted.touched = 0
+    run_outage(
+        replace(history, innovations=(updates,), **columns),
+        drift._replace(drift_m=counted(drift.drift_m)),
+        Timeline(*map(counted, timeline)),
+        (int(flight.ping_ns[FROM]), int(flight.ping_ns[FROM + 30])),
+        (replace(flight.velocity, **of_velocity),),
+        noise_factors=factors,
+    )
+    (inside,) = given
+    return Counted.touched + inside.factors.size
+
+
+def test_a_window_is_no_more_work_in_a_longer_dive(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    in_the_short = touched_by_a_window(flight, monkeypatch)
+    assert in_the_short > 30
+    assert touched_by_a_window(Flight(280.0), monkeypatch) == in_the_short
+
+
+def test_all_windows_of_a_history_share_what_goes_through_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    dive, config, calls = exact_dive("straight", duration_s=240.0, imu_rate_hz=20.0), Config(), list[str]()
+    prepared = prepare_dive(dive, config)
+
+    def once(history: History) -> GravityDrift:
+        calls.append(history.filter)
+        return gravity_drift(history)
+
+    monkeypatch.setattr("insdvl_replay.preparation.run.gravity_drift", once)
+    plan = plan_runs(dive, prepared, config, starts=0)
+    run_candidates(dive, prepared, plan, config)
+    assert len(plan.windows.start_ns) == 4
+    assert sorted(calls) == sorted(config.filters)
 
 
 def test_every_beam_holds_the_height() -> None:
@@ -275,7 +341,7 @@ def test_every_beam_holds_the_height() -> None:
 
 def test_history_without_p_cannot_be_gone_on_from(flight: Flight) -> None:
     with pytest.raises(ValueError, match=r"\bP\b"):
-        restart(flight.history.without_cov(), int(flight.ping_ns[FROM]))
+        restart(flight.history.without_cov(), gravity_drift(flight.history), int(flight.ping_ns[FROM]))
 
 
 # What NIS says

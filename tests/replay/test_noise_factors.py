@@ -15,7 +15,7 @@ from insdvl_replay.core.words import Verdict
 from insdvl_replay.geometry.rotation import mat_from_rpy, vector_from_mat
 from insdvl_replay.nav.error_model import add_noise_of_axes
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.user_measurement import UserNoise, checked_factors
+from insdvl_replay.nav.user_measurement import NoiseFactors, UserNoise, checked_factors
 from insdvl_replay.preparation.plugins import in_outages
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
@@ -163,6 +163,15 @@ def test_in_an_outage_noise_is_found_without_its_pings(dive: Dive) -> None:
     np.testing.assert_array_equal(whole.time_ns, ping_ns)
     assert inside.time_ns.tolist() == [outages[0][0]]
     np.testing.assert_array_equal(inside.factors, np.full((1, 6), 101.0))
+
+
+@pytest.mark.parametrize(
+    ("start_ns", "end_ns", "kept"),
+    [(5, 9, []), (5, 10, [10]), (10, 25, [10, 20]), (15, 30, [10, 20, 30]), (40, 50, [30])],
+)
+def test_a_factor_holds_from_its_time_to_the_next(start_ns: int, end_ns: int, kept: list[int]) -> None:
+    factors = NoiseFactors(np.array([10, 20, 30]), np.arange(18.0).reshape(3, 6))
+    assert factors.within(start_ns, end_ns).time_ns.tolist() == kept
 
 
 @pytest.mark.parametrize(
