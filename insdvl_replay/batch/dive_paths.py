@@ -2,6 +2,7 @@
 
 import glob
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,11 @@ MANIFEST_SUFFIX: Final = ".toml"
 """Ending of a file that lists dives with their digests."""
 BAG_METADATA: Final = "metadata.yaml"
 """The file by which a bag is known. Names do not show it: dives of an archive are numbered like the parts of a bag."""
+
+_LONGEST_LINE: Final = 4096  # letters of a path
+_NUMBER: Final = re.compile(r"[+-]?\d+\.?\d*([eE][+-]?\d+)?")
+# What a line looks like that names a log or a folder: a URL, a path with a slash, or one word.
+_PATHS: Final = tuple(map(re.compile, (r"[a-z0-9+]+://.*", r"[^,;{}$]*/[^,;{}$]*", r"[^\W\d][\w.+*?-]*")))
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,8 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
     - a log, .mcap, .db3 or .bag, a table, or a bag folder;
     - a folder, which stands for every log and bag below it; tables in a folder without logs are one dive;
     - a pattern with ``*``, ``?`` or ``**``;
-    - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment;
+    - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment; where no
+      line can be a path, it is a file like any other;
     - a .toml manifest, ``dives.toml#TAG`` for its dives with a tag;
     - a URL of a log.
 
@@ -103,20 +110,39 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
         from insdvl_replay.batch.manifest import manifest_dives
 
         return manifest_dives(manifest, tag)
-    if lists and path.suffix == LIST_SUFFIX and path.is_file():
-        try:
-            lines = [line.strip() for line in read_text(path).splitlines()]
-        except (OSError, UnicodeDecodeError) as error:
-            hint = "one path a line, UTF-8"
-            raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", hint) from error
-        chosen = [line for line in lines if line and not line.startswith("#")]
-        found = [dive for line in chosen for dive in _meant(line, path.parent, results=results, lists=False)]
+    if lists and path.suffix == LIST_SUFFIX and path.is_file() and (lines := _listed(path)) is not None:
+        found = [dive for line in lines for dive in _meant(line, path.parent, results=results, lists=False)]
     else:
         found = [FoundDive(dive) for dive in _local(path, results=results)]
     if not found:
         kinds = "logs, bags or results" if results else "logs, bags or tables"
         raise ConfigError(f"{path}: no dive is found there", f"check the path: it needs {kinds}")
     return found
+
+
+def _listed(path: Path) -> list[str] | None:
+    """Return the names that a list has, line by line; None where the file is no list, but data or a log."""
+    try:
+        lines = [line.strip() for line in read_text(path).splitlines()]
+    except UnicodeDecodeError:
+        return None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read as a list of dives: {error}", "one path a line, UTF-8") from error
+    names = [line for line in lines if line and not line.startswith("#")]
+    return names if not names or any(_can_be_path(name, path.parent) for name in names) else None
+
+
+def _can_be_path(line: str, folder: Path) -> bool:
+    """Return whether a line of a list can name a dive: it is there, or it looks like a path and not like data."""
+    if "\0" in line or len(line) > _LONGEST_LINE:
+        return False
+    if os.path.exists(folder / line):  # noqa: PTH110  # a Path raises where the name is too long
+        return True
+    numbers = [cell for cell in re.split(r"[,;\s]+", line) if _NUMBER.fullmatch(cell)]
+    if len(numbers) > 1:
+        return False
+    is_log = Path(line).suffix.lower() in (*LOG_SUFFIXES, *TABLE_SUFFIXES, MANIFEST_SUFFIX)
+    return is_log or any(form.fullmatch(line) for form in _PATHS)
 
 
 def _local(path: Path, *, results: bool) -> list[Path]:
@@ -157,6 +183,16 @@ def _once_each(paths: Sequence[Path]) -> list[Path]:
     return [path for path in paths if there.isdisjoint(map(path.with_suffix, better.get(path.suffix, ())))]
 
 
+def _has_dives(folder: Path) -> bool:
+    """Return whether a folder is a result, or holds logs, bags or results."""
+    if is_result(folder):
+        return True
+    for path in folder.rglob("*"):
+        if path.suffix in LOG_SUFFIXES or path.name == BAG_METADATA or (path.is_dir() and is_result(path)):
+            return True
+    return False
+
+
 def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]:
     """Yield the dives in a folder and below it. Links are followed, and each folder is entered once."""
     if (real := os.path.realpath(folder)) in seen:
@@ -172,11 +208,9 @@ def _in_folder(folder: Path, seen: set[str], *, results: bool) -> Iterator[Path]
         logs = [path for suffix in LOG_SUFFIXES for path in folder.glob(f"*{suffix}") if path.is_file()]
         folders = [Path(entry) for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith(".")]
         tables = [path for path in folder.iterdir() if path.suffix.lower() in TABLE_SUFFIXES]
-        if tables and not logs and not results and not any(map(is_result, folders)):
-            # In an archive a table lies beside the dives.
-            below = (path for above in folders for path in above.rglob("*"))
-            if not any(path.suffix in LOG_SUFFIXES or path.name == BAG_METADATA for path in below):
-                yield folder
+        # In an archive a table lies beside the dives.
+        if tables and not logs and not any(map(_has_dives, folders)):
+            yield folder
     except PermissionError:
         yield folder  # as a dive that cannot be read
         return

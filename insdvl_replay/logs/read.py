@@ -46,7 +46,7 @@ from insdvl_replay.logs.columns.topics import (
     solution_name,
     solution_role,
 )
-from insdvl_replay.logs.formats.definitions import missing_types
+from insdvl_replay.logs.formats.definitions import defines_nothing, missing_types
 from insdvl_replay.logs.formats.log_file import COPY_AGAIN, LogChannel, by_topic
 from insdvl_replay.logs.formats.mcap_file import MAGIC
 from insdvl_replay.logs.formats.recording import open_recording
@@ -165,15 +165,13 @@ def source_notes(sources: Sequence[Source]) -> Iterator[Note]:
     for source in sources:
         if source.channels[0].encoding != "cdr":
             continue
-        texts = {
-            (channel.type_name, channel.schema_text)
-            for channel in source.channels
-            if channel.schema_encoding != "ros2idl"
-        }
-        missing = {name for type_name, text in texts for name in missing_types(type_name, text)}
+        missing: set[str] = set()
+        for channel in source.channels:
+            if defines_nothing(channel.type_name, channel.schema_text):
+                missing.add(channel.type_name)
+            elif channel.schema_encoding != "ros2idl":
+                missing.update(missing_types(channel.type_name, channel.schema_text))
         lacking = ", ".join(sorted(missing))
-        if not all(channel.schema_text.strip() for channel in source.channels):
-            lacking = source.type_name
         if lacking:
             text = f"{source.topic}: the log has no schema of {lacking}; the definition of this tool is used"
             yield Note("builtin_definition", text)

@@ -182,6 +182,36 @@ def test_a_list_names_dives_seen_from_its_own_folder(tree: Path) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"wrz,0.12,-0.03,0.01,y,1.2,0.001*aa\nwru,0,0.1,1.0,-30,-90*bb\n",
+        b"time,ax,ay,az\n0,1,2,3\n0.01,1,2,3\n",
+        b"12/05/2024 10:00:00 0.1 0.2 0.3\n",
+        b"$PNORBT1,1,2*3B\n",
+        b"\0\1\2\xff",
+    ],
+)
+def test_a_text_without_paths_is_a_file_and_no_list(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "dump.txt").write_bytes(content)
+    assert found_paths(["dump.txt"], tmp_path) == [tmp_path / "dump.txt"]
+
+
+@pytest.mark.parametrize("line", ["dive_7", "2026/dive 7", "lost.mcap", "s3://bucket/dive.mcap", "a, 1, 2.mcap"])
+def test_a_list_of_names_that_are_not_there_is_a_list(line: str, tmp_path: Path) -> None:
+    (tmp_path / "list.txt").write_text(f"{line}\n")
+    assert [path.name for path in found_paths(["list.txt"], tmp_path)] == [line.rpartition("/")[2]]
+
+
+@pytest.mark.parametrize("results", [False, True])
+def test_a_folder_of_tables_is_a_dive_for_every_command(results: bool, tmp_path: Path) -> None:
+    for name in ("dive_7/imu.csv", "archive/summary.csv", "archive/dive.mcap"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("time,ax\n0,1\n")
+    assert found_paths(["dive_7"], tmp_path, results=results) == [tmp_path / "dive_7"]
+    assert found_paths(["archive"], tmp_path, results=results) == [tmp_path / "archive" / "dive.mcap"]
+
+
 def test_a_dive_that_is_meant_twice_is_one(tree: Path) -> None:
     found = found_paths(["b.mcap", "*.mcap", "../" + tree.name, "bag/../b.mcap"], tree)
     assert len(found) == len({path.resolve() for path in found}) == 6

@@ -64,6 +64,12 @@ def test_types_that_a_schema_lacks_are_those_of_the_program(tmp_path: Path) -> N
     assert "std_msgs/msg/Header" in note.text
 
 
+@pytest.mark.parametrize("text", ["", IMU_TYPE, "sensor_msgs/Imu\n", f"MSG: {IMU_TYPE}"])
+@pytest.mark.parametrize("language", ["ros2msg", "ros2idl"])
+def test_schema_that_holds_its_name_alone_is_that_of_the_program(text: str, language: str) -> None:
+    assert definitions_of(IMU_TYPE, text, "cdr", language) == definitions_of(IMU_TYPE, definition_text(IMU_TYPE), "cdr")
+
+
 def test_type_that_nobody_defines_is_still_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="uses pkg/msg/Unknown in pkg/msg/A and does not define it"):
         definitions_of("pkg/msg/A", "std_msgs/Header header\nUnknown thing", "cdr")

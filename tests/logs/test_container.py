@@ -101,6 +101,7 @@ def _without_summary(data: bytes) -> bytes:
 
 def test_what_is_no_log_is_refused_by_name(path: Path, tmp_path: Path) -> None:
     cases = {b"": r"empty \(0 bytes\)", b"SQLite format 3\0....": "where its header says 0", b"hello world": "68 65 6c"}
+    cases |= {b"a": r"only 1 byte, too few for a log", b"1234567": r"only 7 bytes, too few for a log"}
     for content, sentence in cases.items():
         path.write_bytes(content)
         with pytest.raises(LogError, match=sentence) as raised:

@@ -1,5 +1,6 @@
 """Tables are dives: the same columns from every format, and no damage that goes unnoticed."""
 
+import zipfile
 from contextlib import suppress
 from pathlib import Path
 from time import process_time
@@ -205,6 +206,16 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(content)
         with pytest.raises(LogError, match=sentence):
             open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("member", ["xl/workbook.xml", "content.xml"])
+def test_a_spreadsheet_is_named_whatever_its_ending(tmp_path: Path, member: str) -> None:
+    for name in ("imu.xlsx", "imu.csv", "imu.npz", "imu.ods"):
+        with zipfile.ZipFile(tmp_path / name, "w") as archive:
+            archive.writestr(member, "<sheet/>")
+        with pytest.raises(LogError, match="is a spreadsheet") as raised:
+            open_recording(tmp_path / name)
+        assert "CSV" in raised.value.hint
 
 
 def harmed(dive: Dive, folder: Path, seed: int) -> str:

@@ -16,7 +16,7 @@ from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.columns.topics import TYPES
-from insdvl_replay.logs.formats.recording import OTHER_FORMATS, OtherFormat
+from insdvl_replay.logs.formats.recording import OTHER_FORMATS, OtherFormat, other_format
 
 PAGE = inputs.PAGE.read_text("utf-8")
 GROUPS = [types for name, types in TYPES.items() if name not in ("onboard", "solution")]
@@ -52,9 +52,10 @@ FILES = [(known, bytes.fromhex(start) + bytes(60)) for known in OTHER_FORMATS fo
 def test_file_that_is_not_read_is_reported_by_its_bytes_with_the_step_that_helps(
     known: OtherFormat, data: bytes, tmp_path: Path
 ) -> None:
-    # Named like something else, where bytes tell.
+    # Named like something else, where bytes alone tell.
     named_otherwise = "dive.csv" if known.any_name else "dive.mcap"
-    name = named_otherwise if known.starts or ".tlog" in known.endings else f"dive{known.endings[0]}"
+    tells = (known.starts and other_format(Path(named_otherwise), data) is known) or ".tlog" in known.endings
+    name = named_otherwise if tells else f"dive{known.endings[0]}"
     (tmp_path / name).write_bytes(data)
     with pytest.raises(LogError) as raised:
         read_dive(tmp_path / name, Config())

@@ -67,15 +67,23 @@ def _only(language: str) -> str:
 @cache
 def definitions_of(type_name: str, schema_text: str, encoding: str, schema_encoding: str = "") -> Definitions:
     """Parse a channel's schema. What a schema of ROS 2 lacks, all of it or types in it, comes with the tool."""
-    if schema_encoding == "ros2idl":
-        return parse_definitions(type_name, schema_text, "ros2idl")
     if encoding == "ros1":
         return parse_definitions(type_name, schema_text, "ros1msg")
-    text = schema_text if schema_text.strip() else definition_text(type_name)
+    text = schema_text
+    if defines_nothing(type_name, schema_text):
+        text = definition_text(type_name)
+    elif schema_encoding == "ros2idl":
+        return parse_definitions(type_name, schema_text, "ros2idl")
     for missing in missing_types(type_name, text):  # BlueOS records the file of a type alone
         with suppress(LogError):
             text = f"{text}\n{_RULE}\nMSG: {missing.replace('/msg/', '/')}\n{definition_text(missing)}"
     return parse_definitions(type_name, text)
+
+
+def defines_nothing(type_name: str, schema_text: str) -> bool:
+    """Return whether a schema is empty or holds the name of its type alone, as some recorders write it."""
+    name = schema_text.strip().removeprefix("MSG:").removeprefix("IDL:").strip()
+    return not name or full_name(name) == full_name(type_name)
 
 
 def parse_definitions(type_name: str, text: str, language: str = "ros2msg") -> Definitions:

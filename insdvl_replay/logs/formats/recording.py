@@ -14,7 +14,7 @@ import msgspec
 
 from insdvl_replay.core.dive_columns import TimeNs
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
-from insdvl_replay.core.errors import LogError, Note, counted_clause, is_writable, read_text, visible
+from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, is_writable, read_text, visible
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.fields import TABLE
 from insdvl_replay.logs.formats.log_file import (
@@ -54,6 +54,9 @@ def open_log_file(path: Path) -> LogFile:
         return TableFile(file)
     if other is not None:
         raise LogError(f"is {other.name}, which is not read", other.step.format(path=path), path)
+    if len(file) < len(MAGIC):
+        text = f"has only {counted(len(file), 'byte')}, too few for a log"
+        raise UnusableFileError(text, "the recording never began, or the copy failed", path)
     return McapFile(file)
 
 
@@ -291,6 +294,7 @@ class OtherFormat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     endings: tuple[str, ...]
     step: str
     any_name: bool = False
+    is_text: bool = False
 
 
 OTHER_FORMATS: Final = msgspec.toml.decode(
@@ -299,12 +303,19 @@ OTHER_FORMATS: Final = msgspec.toml.decode(
 
 
 def other_format(path: Path, start: bytes) -> OtherFormat | None:
-    """Return the format of a file by its first 16 bytes, else by the ending of its name."""
-    for known in OTHER_FORMATS:
-        if start.startswith(tuple(map(bytes.fromhex, known.starts))):
-            return known
+    """Return the format of a file by its first 16 bytes, of several by the ending of its name too; else by this."""
+    ending = path.suffix.lower()
+    alike = [known for known in OTHER_FORMATS if start.startswith(tuple(map(bytes.fromhex, known.starts)))]
+    if alike:
+        return next((known for known in alike if ending in known.endings), alike[-1])
     # MAVLink: each message is behind its time in microseconds, from 2001 to 2096, the larger bytes first.
     if len(start) > 8 and start[8] in (0xFD, 0xFE) and 10**15 < int.from_bytes(start[:8]) < 4 * 10**15:
         return next(known for known in OTHER_FORMATS if ".tlog" in known.endings)
     # An ending that belongs to bytes which are not there tells nothing.
-    return next((known for known in OTHER_FORMATS if not known.starts and path.suffix.lower() in known.endings), None)
+    by_ending = (known for known in OTHER_FORMATS if not known.starts and ending in known.endings)
+    return next((known for known in by_ending if not known.is_text or _is_text(start)), None)
+
+
+def _is_text(start: bytes) -> bool:
+    """Return whether bytes hold no control characters but those between words and lines."""
+    return all(byte >= 0x20 or byte in b"\t\n\r" for byte in start)

@@ -50,6 +50,10 @@ _ROWS: Final = 1 << 16  # rows of a block
 _SAVE_AGAIN: Final = "save it again; for arrays: numpy.savez(path, time=..., acc=..., gyro=...)"
 
 
+class _SpreadsheetError(Exception):
+    """An archive of zip holds sheets, not arrays."""
+
+
 @dataclass
 class _Table:
     """One table of a file."""
@@ -151,6 +155,9 @@ class TableFile(LogFile):
                 yield self._named(self.path.name, [(str(name), frame[name].to_numpy()) for name in frame])
                 return
             arrays = _arrays(content, start)
+        except _SpreadsheetError as error:
+            hint = "save each of its sheets as CSV, with a point in decimal numbers"
+            raise UnusableFileError("is a spreadsheet", hint, self.path) from error
         except ImportError as error:
             hint = "pip install 'insdvl-replay[tables]'"
             raise LogError(f"needs the package {error.name or 'pyarrow'} to be read", hint, self.path) from error
@@ -366,6 +373,8 @@ def _arrays(content: memoryview, start: bytes) -> dict[str, NDArray[Any]]:
         with zipfile.ZipFile(BytesIO(content)) as archive:
             if sum(part.file_size for part in archive.infolist()) > most_opened(len(content)):
                 raise ValueError("it opens to more than a file of its size can hold")
+            if any(name.startswith("xl/") or name == "content.xml" for name in archive.namelist()):
+                raise _SpreadsheetError
         with np.load(BytesIO(content)) as arrays:
             take("", dict(arrays))
     else:
