@@ -5,7 +5,7 @@ those of most DVLs. The velocity along a beam is that of the vehicle over ground
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,6 +17,13 @@ from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import frames
 from insdvl_replay.geometry.rotation import mat_from_quat
+from insdvl_replay.logs.columns.beam_directions import (
+    AGREES,
+    CONTRADICTS,
+    BeamVelocities,
+    agreeing_directions,
+    azimuths_and_tilts_deg,
+)
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.tables import Mask, Table
@@ -28,15 +35,27 @@ _VALID_HINT: Final = 'to read a flag of valid pings: dvl.valid = "field.path", o
 _BEAM_HINT: Final = "set dvl.beam_tilt_deg and dvl.beam_azimuth_deg from the data sheet"
 
 
+@dataclass(frozen=True)
+class _Directions:
+    """Where the beams point."""
+
+    vectors_d: Floats  # (beams, 3)
+    look: Floats | None = None  # (3,), on average, where the messages report it
+
+
 def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
-    """Make the columns of the DVL, of its beams where there are any, unless the settings say otherwise."""
+    """Make the columns of the DVL, of its beams where there are any, unless the settings say otherwise.
+
+    Beams that contradict the velocity of the instrument are not used, unless the settings have their directions.
+    """
+    is_given = settings.kind == "beams" or _has_directions(settings)
     settings = table.source.completed(settings)
     table = _with_beam_speeds(table, settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
     for rule in _BOTTOM_TRACK:
         cleaner.keep_where(*rule)
-    beams = _beam_velocity(table) if "beam_velocity" in table else np.full((len(table), 0), np.nan)
+    beams = _beam_velocity(table, cleaner) if "beam_velocity" in table else np.full((len(table), 0), np.nan)
     has_beams = np.asarray(~np.isnan(beams).all(axis=1))
     if "beams_valid" in table:
         has_beams &= table.column("beams_valid") != 0.0
@@ -49,9 +68,18 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     elif is_beams and "velocity" in table and not np.nan_to_num(beams[has_beams]).any():
         is_beams = False
         cleaner.note("no_beams", "pings (all) have no valid beam; the velocities of the DVL are used", len(table))
+    directions = None
     if is_beams:
-        return _decode_beams(table, settings, cleaner, beams, has_beams), cleaner.notes
-    return _decode_velocities(table, settings, cleaner), cleaner.notes
+        unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
+        beams = _without_impossible(_without_none(beams, unit) * unit, cleaner)
+        directions = _used_directions(table, settings, cleaner, np.where(has_beams[:, None], beams, np.nan), is_given)
+    if directions is None:
+        return _decode_velocities(table, settings, cleaner), cleaner.notes
+    return _decode_beams(table, cleaner, beams, has_beams, directions), cleaner.notes
+
+
+def _has_directions(settings: Dvl) -> bool:
+    return settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
 
 
 def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColumns:
@@ -64,33 +92,25 @@ def _decode_velocities(table: Table, settings: Dvl, cleaner: Cleaner) -> DvlColu
         cleaner.keep_where("good_beams", lambda n: n >= 3, "invalid", "pings have fewer than three good beams")
     cleaner.keep_finite(velocity_d)
     _drop_repeats(cleaner, velocity_d)
-    vectors_d, look_d = _beam_vectors(table, settings, cleaner, used=False)
-    in_space = np.linalg.matrix_rank(vectors_d, 0.01) == 3
-    return DvlColumns(cleaner.times, None, vectors_d if in_space else None, cleaner.kept(velocity_d), look_d)
+    directions = _unused_directions(table, settings, cleaner)
+    in_space = np.linalg.matrix_rank(directions.vectors_d, 0.01) == 3
+    vectors_d = directions.vectors_d if in_space else None
+    return DvlColumns(cleaner.times, None, vectors_d, cleaner.kept(velocity_d), directions.look)
 
 
-def _decode_beams(table: Table, settings: Dvl, cleaner: Cleaner, beams: Floats, has_beams: Mask) -> DvlColumns:
-    unit = VELOCITY_UNITS[settings.velocity_unit or "m/s"]
-    beam_velocity_mps = _without_impossible(_without_none(beams, unit) * unit, cleaner)
+def _decode_beams(
+    table: Table, cleaner: Cleaner, beams_mps: Floats, has_beams: Mask, directions: _Directions
+) -> DvlColumns:
     # Along the beams.
     cleaner.keep_where("coordinates", lambda kind: kind == 0, "coordinates", "pings are in other coordinates")
     if "beam_valid" not in table and "nortek_status" not in table:
         for rule in _VALID:
             cleaner.keep_where(*rule)
     cleaner.keep(has_beams, "invalid", "pings have no valid beam")
-    _drop_repeats(cleaner, beam_velocity_mps)
-    vectors_d, look_d = _beam_vectors(table, settings, cleaner, used=True)
-    if len(vectors_d) != beam_velocity_mps.shape[1]:
-        raise ConfigError(
-            f"has {beam_velocity_mps.shape[1]} beams, but the geometry has {len(vectors_d)}",
-            "set one angle for each beam in dvl.beam_azimuth_deg",
-            *table.where,
-        )
+    _drop_repeats(cleaner, beams_mps)
     # An infinite velocity along a beam counts as NaN.
-    finite = cleaner.kept(np.where(np.isfinite(beam_velocity_mps), beam_velocity_mps, np.nan))
-    if "velocity" in table and "coordinates" not in table:
-        _note_contradiction(cleaner, finite, vectors_d, cleaner.kept(_velocity_d(table, settings)))
-    return DvlColumns(cleaner.times, finite, vectors_d, look_d=look_d)
+    finite = cleaner.kept(np.where(np.isfinite(beams_mps), beams_mps, np.nan))
+    return DvlColumns(cleaner.times, finite, directions.vectors_d, look_d=directions.look)
 
 
 def _are_set(status: Floats, bits: tuple[int, ...]) -> Mask:
@@ -131,20 +151,45 @@ def _without_none(values: Floats, unit: float) -> Floats:
     return np.where(is_none, np.nan, values) if is_none.any() else values
 
 
-def _beam_velocity(table: Table) -> Floats:
-    """Return the velocities along the beams in the log's unit, NaN where a beam is marked as lost."""
+def _beam_velocity(table: Table, cleaner: Cleaner) -> Floats:
+    """Return the velocities along the beams in the log's unit, NaN where a beam is lost."""
     velocity = table.values("beam_velocity")
     if "beam_var" in table and (variance := table.values("beam_var")).shape == velocity.shape:
         velocity = np.where(variance < 0.0, np.nan, velocity)
     if "nortek_status" in table and velocity.shape[1] == 4:
         velocity = np.where(_are_set(table.values("nortek_status", 1), (0, 1, 2, 3)), velocity, np.nan)
-    if "beam_valid" not in table:
-        return velocity
-    valid = table.values("beam_valid")
-    if valid.shape != velocity.shape:
-        text = f"has {velocity.shape[1]} beam velocities, but {valid.shape[1]} validity flags"
-        raise LogError(text, "dvl.beam_velocity and dvl.beam_valid need the same number of values", *table.where)
-    return np.where(valid > 0.0, velocity, np.nan)
+    if "beam_valid" in table:
+        valid = table.values("beam_valid")
+        if valid.shape != velocity.shape:
+            text = f"has {velocity.shape[1]} beam velocities, but {valid.shape[1]} validity flags"
+            raise LogError(text, "dvl.beam_velocity and dvl.beam_valid need the same number of values", *table.where)
+        velocity = np.where(valid > 0.0, velocity, np.nan)
+    lost = _are_lost(table, velocity)
+    if lost.any():
+        pings = np.flatnonzero(lost.any(axis=1))
+        text = "beams have no echo (no range, or fewer good beams than beams) and count as lost"
+        cleaner.note("lost_beams", text, int(np.count_nonzero(lost)), first=pings)
+        velocity = np.where(lost, np.nan, velocity)
+    return velocity
+
+
+def _are_lost(table: Table, velocity: Floats) -> Mask:
+    """Find the beams, shape (k, beams), whose velocity is that of no echo.
+
+    A velocity of 0 is none where the beam has no range, or where fewer beams are good than there are. A negative range
+    marks a lost beam if other ranges are positive.
+    """
+    lost = np.zeros(velocity.shape, np.bool_)
+    is_zero = velocity == 0.0
+    if "beam_ranges" in table and (ranges := table.values("beam_ranges")).shape == velocity.shape:
+        has_range = ranges > 0.0
+        lost |= is_zero & ~has_range
+        if np.count_nonzero(has_range) > 0.5 * has_range.size:
+            lost |= np.isfinite(velocity) & (ranges < 0.0)
+    if "good_beams" in table:
+        good = table.column("good_beams")
+        lost |= is_zero & ((good > 0.0) & (good < velocity.shape[1]))[:, None]
+    return lost
 
 
 def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
@@ -241,68 +286,163 @@ def _reported_vectors(table: Table, cleaner: Cleaner) -> Floats:
     return np.asarray(np.median(reported, axis=0))
 
 
-def _beam_vectors(table: Table, settings: Dvl, cleaner: Cleaner, *, used: bool) -> tuple[Floats, Floats | None]:
-    """Return the unit vectors of the beams in d, (beams, 3), and where they look on average if messages tell it, (3,).
-
-    Note what messages tell of beams that are used and cannot be true. Of others, poses alone tell where they look.
-    """
-    configured = settings.beam_tilt_deg is not None or settings.beam_azimuth_deg is not None
-    vectors_d = frames.beam_vectors(
+def _usual_directions(settings: Dvl) -> Floats:
+    """Return the directions by the settings and the type, else those of most DVLs, shape (beams, 3)."""
+    return frames.beam_vectors(
         frames.TILT_DEG if settings.beam_tilt_deg is None else settings.beam_tilt_deg,
         frames.AZIMUTH_DEG if settings.beam_azimuth_deg is None else settings.beam_azimuth_deg,
     )
-    if not ("beam_vectors" in table or "beam_quaternions" in table) or (used and configured):
-        return vectors_d, None
+
+
+def _are_reported(table: Table) -> bool:
+    return "beam_vectors" in table or "beam_quaternions" in table
+
+
+def _unused_directions(table: Table, settings: Dvl, cleaner: Cleaner) -> _Directions:
+    """Return where beams point that are not used. Poses alone tell where they look."""
+    usual_d = _usual_directions(settings)
+    if not _are_reported(table):
+        return _Directions(usual_d)
     reported = _reported_vectors(table, cleaner)
-    if fault := _vector_fault(reported, table, cleaner) if used or len(reported) else "there are none":
-        if used:
-            azimuths = ", ".join(f"{azimuth:g}" for azimuth in frames.AZIMUTH_DEG)
-            text = (
-                f"pings have impossible beam vectors ({fault}); a tilt of {frames.TILT_DEG:g} deg and "
-                f"azimuths of {azimuths} deg are assumed"
-            )
-            cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
-        return vectors_d, None
-    reported = reported / np.linalg.norm(reported, axis=1, keepdims=True) if used else reported
+    if not len(reported) or _vector_fault(reported, table, cleaner):
+        return _Directions(usual_d)
     reported = in_frd(reported, settings.axes or FRD, "dvl.axes")
-    look: Floats | None = reported.mean(axis=0) if used or "beam_quaternions" in table else None
-    if look is not None and not frames.look_down(look):
-        along = "({:.2f}, {:.2f}, {:.2f})".format(*look)
-        text = f"pings have beams that do not point down, but along {along} in the axes in use"
-        hint = 'set dvl.axes to its axes forward, starboard and down, such as "flu" or "+z-y+x"'
-        cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
-    return vectors_d if configured else reported, look
+    look = reported.mean(axis=0) if "beam_quaternions" in table else None
+    _note_look(cleaner, look)
+    return _Directions(usual_d if _has_directions(settings) else reported, look)
 
 
-def _note_contradiction(cleaner: Cleaner, beam_velocity_mps: Floats, vectors_d: Floats, velocity_d: Floats) -> None:
-    """Note beams, shape (kept, beams), that do not add up to the velocity that the instrument makes of them."""
-    moving = np.isfinite(beam_velocity_mps).all(axis=1) & (np.linalg.norm(velocity_d, axis=1) > _MOVING_MPS)
-    if not moving.any() or np.linalg.matrix_rank(vectors_d) < vectors_d.shape[1]:
+def _used_directions(
+    table: Table, settings: Dvl, cleaner: Cleaner, beams_mps: Floats, is_given: bool
+) -> _Directions | None:
+    """Return where the beams that are used point; None if they contradict the velocity of the instrument.
+
+    Directions that are given, or that the type of the messages has, go before those in the messages, and these before
+    those of most DVLs. Where they contradict the velocity, others are looked for that agree with it.
+    """
+    usual_d = _usual_directions(settings)
+    reported = None
+    fault = ""
+    if _are_reported(table) and not _has_directions(settings):
+        raw = _reported_vectors(table, cleaner)
+        fault = _vector_fault(raw, table, cleaner)
+        lengths = np.linalg.norm(raw, axis=1, keepdims=True)
+        if len(raw) and np.all(lengths > 0.0):
+            reported = in_frd(raw / lengths, settings.axes or FRD, "dvl.axes")
+    is_reported = reported is not None and not fault
+    in_use = reported if reported is not None and is_reported else usual_d
+    beams = beams_mps.shape[1]
+    pings = _compared_pings(table, settings, cleaner, beams_mps)
+    if pings is None:
+        agrees = True
+    elif is_given:
+        agrees = pings.agree(in_use, CONTRADICTS)
+        if not agrees and np.isfinite(pings.misfit(in_use)):
+            _note_contradiction(cleaner, pings, in_use)
+    else:
+        agrees = pings.agree(in_use)
+    if pings is not None and not agrees and not is_given:
+        why = fault or _contradiction(pings, in_use)
+        other = agreeing_directions(pings, reported, _slant(table, cleaner))
+        if other is not None:
+            code = "beam_geometry" if fault else "beam_directions"
+            text = f"pings have beams whose directions cannot be true ({why}); {_words(other)} agree with the DVL's own"
+            hint = f"to keep these: {_keys(other)}"
+            cleaner.note(code, f"{text} velocity and are used", cleaner.rows.size, Severity.WARNING, hint)
+            return _Directions(other)
+        if len(in_use) != beams or not pings.has_other_axes(in_use):
+            text = f"pings have beams that contradict the DVL's own velocity ({why}); the velocity is used"
+            hint = f'{_BEAM_HINT} to use the beams; to keep the velocity: dvl.kind = "velocity"'
+            cleaner.note("beams_unused", text, cleaner.rows.size, Severity.WARNING, hint)
+            return None
+        _note_contradiction(cleaner, pings, in_use)
+    if len(in_use) != beams:
+        raise ConfigError(
+            f"has {beams} beams, but the geometry has {len(in_use)}",
+            "set one angle for each beam in dvl.beam_azimuth_deg",
+            *table.where,
+        )
+    if fault:
+        why = "are assumed" if pings is None else "are used, which agree with the DVL's own velocity"
+        text = f"pings have impossible beam vectors ({fault}); {_words(in_use)} {why}"
+        cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
+    look = in_use.mean(axis=0) if is_reported else None
+    _note_look(cleaner, look)
+    return _Directions(in_use, look)
+
+
+def _words(vectors_d: Floats) -> str:
+    """Write directions as words."""
+    azimuths_deg, tilts_deg = azimuths_and_tilts_deg(vectors_d)
+    azimuths = ", ".join(f"{azimuth:.3g}" for azimuth in azimuths_deg)
+    return f"a tilt of {float(np.median(tilts_deg)):.3g} deg and azimuths of {azimuths} deg"
+
+
+def _keys(vectors_d: Floats) -> str:
+    """Write directions as settings."""
+    azimuths_deg, tilts_deg = azimuths_and_tilts_deg(vectors_d)
+    azimuths = ", ".join(f"{azimuth:.4g}" for azimuth in azimuths_deg)
+    return f"dvl.beam_tilt_deg = {float(np.median(tilts_deg)):.4g}, dvl.beam_azimuth_deg = [{azimuths}]"
+
+
+def _note_look(cleaner: Cleaner, look: Floats | None) -> None:
+    if look is None or frames.look_down(look):
         return
-    by_beams_d = frames.solve_beams(beam_velocity_mps[moving], vectors_d)[0]
-    apart_mps = np.linalg.norm(by_beams_d - velocity_d[moving], axis=1)
-    part = float(np.median(apart_mps / np.linalg.norm(velocity_d[moving], axis=1)))
-    if part > 0.1:  # both are computed from the same echoes, so that a tilt that is wrong by 3 deg shows
-        text = f"pings have beams that, with this geometry, differ by {part:.0%} from the DVL's own velocity"
-        hint = f'{_BEAM_HINT}; to use the velocity instead: dvl.kind = "velocity"'
-        cleaner.note("beam_contradiction", text, int(moving.sum()), Severity.WARNING, hint, first=cleaner.rows[moving])
+    along = "({:.2f}, {:.2f}, {:.2f})".format(*look)
+    text = f"pings have beams that do not point down, but along {along} in the axes in use"
+    hint = 'set dvl.axes to its axes forward, starboard and down, such as "flu" or "+z-y+x"'
+    cleaner.note("beams_not_down", text, cleaner.rows.size, Severity.WARNING, hint)
+
+
+def _compared_pings(table: Table, settings: Dvl, cleaner: Cleaner, beams_mps: Floats) -> BeamVelocities | None:
+    """Return the pings whose beams can be compared with the instrument's own velocity; None without any."""
+    if "velocity" not in table or "coordinates" in table:
+        return None
+    pings = BeamVelocities.of_pings(cleaner.kept(beams_mps), cleaner.kept(_velocity_d(table, settings)))
+    return pings if len(pings) else None
+
+
+def _contradiction(pings: BeamVelocities, vectors_d: Floats) -> str:
+    """State how far beams are from the velocity."""
+    if len(vectors_d) != pings.along_mps.shape[1]:
+        return f"there are {pings.along_mps.shape[1]} of them, but the geometry has {len(vectors_d)}"
+    if not np.isfinite(pings.misfit(vectors_d)):
+        return "they are in one plane"
+    if pings.misfit(vectors_d) <= AGREES:
+        return "with their directions the velocity has the opposite sign along an axis"
+    return f"with their directions they differ by {pings.misfit(vectors_d):.0%} from it"
+
+
+def _note_contradiction(cleaner: Cleaner, pings: BeamVelocities, vectors_d: Floats) -> None:
+    """Note beams that are used although they do not add up to the velocity that the instrument makes of them."""
+    text = f"pings have beams that contradict the DVL's own velocity ({_contradiction(pings, vectors_d)})"
+    hint = f'{_BEAM_HINT}; to use the velocity instead: dvl.kind = "velocity"'
+    cleaner.note("beam_contradiction", text, len(pings), Severity.WARNING, hint)
+
+
+def _slant(table: Table, cleaner: Cleaner) -> float | None:
+    """Return altitude over range in the median of pings and beams, the cosine of the tilt; None where it is unknown."""
+    if "altitude" not in table or "beam_ranges" not in table:
+        return None
+    altitude = cleaner.kept(table.column("altitude"))
+    ranges = cleaner.kept(table.values("beam_ranges"))
+    measured = (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
+    if not measured.any():
+        return None
+    return float(np.median(altitude[measured, None] / ranges[measured]))
 
 
 def _vector_fault(vectors: Floats, table: Table, cleaner: Cleaner) -> str:
     """Return what is wrong with beam vectors: their length, or their z component (it is altitude over range)."""
+    if not len(vectors):
+        return "there are none"
     lengths = np.linalg.norm(vectors, axis=1)
     if not np.all(np.abs(lengths - 1.0) < 0.01):
         return f"their lengths are {', '.join(f'{length:.3f}' for length in lengths)}"
     if len(vectors) > 2 and np.linalg.matrix_rank(vectors, 0.01) < 3:
         return "they are in one plane"
-    if "altitude" in table and "beam_ranges" in table:
-        altitude, ranges = cleaner.kept(table.column("altitude")), cleaner.kept(table.values("beam_ranges", 4))
-        measured = (np.isfinite(ranges) & (ranges > 0.0)).all(axis=1) & np.isfinite(altitude) & (altitude > 0.0)
-        if measured.any():
-            slant, along_z = (
-                float(np.median(altitude[measured, None] / ranges[measured])),
-                float(np.median(vectors[:, 2])),
-            )
-            if abs(slant - along_z) >= 0.1:
-                return f"their z component is {along_z:.3f}, but altitude over range is {slant:.3f}"
+    slant = _slant(table, cleaner)
+    along_z = float(np.median(vectors[:, 2]))
+    if slant is not None and abs(slant - along_z) >= 0.1:
+        return f"their z component is {along_z:.3f}, but altitude over range is {slant:.3f}"
     return ""
