@@ -15,6 +15,7 @@ import zstandard
 from content import MAGIC, Content, content_of, file_of, record_bytes
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from mcap import records
+from table_bombs import TABLE_BOMBS
 from victim import Ended, run_forked, verdict
 
 from insdvl_replay.logs import write_dive
@@ -240,9 +241,9 @@ def attack(folder: Path, clean_mb: float, only: str) -> Iterator[tuple[str, str,
     int
         Bytes of the file.
     """
-    log = folder / "bomb.mcap"
-    for name in filter(lambda name: only in name, BOMBS):
-        log.write_bytes(BOMBS[name]())
+    for name in filter(lambda name: only in name, BOMBS | TABLE_BOMBS):
+        log = folder / f"bomb{Path(name).suffix if name in TABLE_BOMBS else '.mcap'}"
+        log.write_bytes((BOMBS | TABLE_BOMBS)[name]())
         size = log.stat().st_size
         run = ["run", str(log), "-o", str(folder / "results")]
         for command in (run, [*run, "--allow-damaged"], ["inspect", str(log)]):
@@ -254,3 +255,4 @@ def attack(folder: Path, clean_mb: float, only: str) -> Iterator[tuple[str, str,
                 ended,
                 size,
             )
+        log.unlink()

@@ -150,9 +150,9 @@ def damage_note(name: str, found: Iterable[Damage], lost: str) -> Note:
 # --- Compressed bytes.
 
 
-def most_opened(compressed_size: int, usual: int = _USUAL_SIZE) -> int:
+def most_opened(compressed_size: int, usual: int = _USUAL_SIZE, times: int = _MOST_COMPRESSED) -> int:
     """Return the bytes to which compressed bytes may open: what is usual, or more where there are more of them."""
-    return max(usual, _MOST_COMPRESSED * compressed_size)
+    return max(usual, times * compressed_size)
 
 
 def opened(

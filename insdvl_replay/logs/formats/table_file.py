@@ -8,7 +8,6 @@ what is not a number is missing, rows that do not fit are left out, and each los
 
 import csv
 import re
-import zipfile
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,10 +20,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
-from insdvl_replay.core.errors import LogError, Note, counted, counted_clause
+from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.words import Severity
+from insdvl_replay.logs.formats.array_files import (
+    MOST_COLUMNS,
+    SpreadsheetError,
+    read_matlab,
+    read_numpy,
+    require_room,
+)
 from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, TIME_UNITS_NS, Columns, Kinds, check_path
-from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError, most_opened
+from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError
 
 _UNIT: Final = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 _UNIT_WORDS: Final = {
@@ -44,14 +50,10 @@ _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, fro
 _LATEST_NS: Final = 4e18  # differences of times must be whole numbers of 64 bits, too
 _LARGEST: Final = 1e100  # larger numbers are not finite, or their squares are not
 _LONGEST_TITLE: Final = 200  # letters
-_MOST_COLUMNS: Final = 4096  # in a file
+_BESIDE: Final = 8  # numbers for each row beside its cells: its times, and what they are made of
 _WIDEST: Final = 64  # numbers in a row of an array that is one quantity
 _ROWS: Final = 1 << 16  # rows of a block
 _SAVE_AGAIN: Final = "save it again; for arrays: numpy.savez(path, time=..., acc=..., gyro=...)"
-
-
-class _SpreadsheetError(Exception):
-    """An archive of zip holds sheets, not arrays."""
 
 
 @dataclass
@@ -84,20 +86,20 @@ class TableFile(LogFile):
     def __init__(self, file: FileBytes) -> None:
         super().__init__(file)
         self._notes: list[Note] = []
+        self._is_text = True
         self._commas = 0  # numbers with a decimal comma in the table that is read
         self._rows: list[NDArray[np.float64]] = []  # of each channel, (k, 1 + n): number of the row, then the columns
         self._time_ns: list[TimeNs] = []
         channels = list[LogChannel]()
         with self.watched():
+            needed = 0
             for table in self._tables():
+                needed += _memory_of(table)
+                self._require_room(needed)
                 time_ns, kept = self._times(table)
                 names = [(name, 1 if values.ndim == 1 else values.shape[1]) for name, values in table.columns.items()]
-                numbers = [np.arange(len(kept), dtype=np.float64)[:, None]]
-                numbers += [values.reshape(len(kept), -1).astype(np.float64) for values in table.columns.values()]
-                rows = np.concatenate(numbers, axis=1)[kept]
-                missing = ~(np.abs(rows) < _LARGEST)
-                rows[missing] = np.nan
-                if some := int(np.count_nonzero(missing[:, ~missing.all(axis=0)])):
+                rows = _rows_of(table, kept)
+                if some := _clear_missing(rows):
                     clause = counted_clause(some, "cells are empty, NaN or too large and count as missing")
                     self._note("table_missing", table.topic, clause, some, warn=False)
                 self._rows.append(rows)
@@ -115,7 +117,9 @@ class TableFile(LogFile):
                     )
                 )
         if not channels:
-            raise UnusableFileError("has no table of numbers", _SAVE_AGAIN, self.path)
+            what = "has no table of numbers"
+            reasons = [note.text.removeprefix(f"{self.path.name}: ") for note in self._notes]
+            raise UnusableFileError("; ".join([what, *reasons]), _SAVE_AGAIN, self.path)
         self.channels = tuple(channels)
 
     @property
@@ -141,31 +145,46 @@ class TableFile(LogFile):
         severity = Severity.WARNING if warn else Severity.INFO
         self._notes.append(Note(code, f"{topic}: {text}", count, severity, hint))
 
+    def _unreadable(self, error: Exception) -> UnusableFileError:
+        """Return the error for a file that is damaged, or asks for too much memory."""
+        reason = " ".join(str(error).split())[:200]
+        kind = self.path.suffix.lower() or "a table"
+        return UnusableFileError(f"cannot be read as {kind}: {reason}", f"copy it again, or {_SAVE_AGAIN}", self.path)
+
     def _tables(self) -> Iterator[_Table]:
         """Read the tables of the file by its first bytes, else as text."""
         content = self.file.read(0, len(self.file))
-        start, suffix = bytes(content[:20]), self.path.suffix.lower()
+        start = bytes(content[:20])
         if not start.startswith((b"\x93NUMPY", b"PK", b"PAR1", b"MATLAB")):
             yield self._text(bytes(content))
             return
+        is_parquet = start.startswith(b"PAR1")
         try:
-            if start.startswith(b"PAR1"):
-                frame = pd.read_parquet(BytesIO(content))
-                frame = frame if isinstance(frame.index, pd.RangeIndex) else frame.reset_index()
-                yield self._named(self.path.name, [(str(name), frame[name].to_numpy()) for name in frame])
-                return
-            arrays = _arrays(content, start)
-        except _SpreadsheetError as error:
+            if is_parquet:
+                from insdvl_replay.logs.formats.parquet_file import read_parquet
+
+                found = read_parquet(content)
+            else:
+                found = read_matlab(content) if start.startswith(b"MATLAB") else read_numpy(content)
+        except SpreadsheetError as error:
             hint = "save each of its sheets as CSV, with a point in decimal numbers"
             raise UnusableFileError("is a spreadsheet", hint, self.path) from error
         except ImportError as error:
             hint = "pip install 'insdvl-replay[tables]'"
             raise LogError(f"needs the package {error.name or 'pyarrow'} to be read", hint, self.path) from error
         except Exception as error:  # whatever a library makes of a damaged file
-            reason = " ".join(str(error).split())[:200]
-            hint = f"copy it again, or {_SAVE_AGAIN}"
-            raise UnusableFileError(f"cannot be read as {suffix or 'a table'}: {reason}", hint, self.path) from error
-        yield from self._of_arrays(arrays)
+            raise self._unreadable(error) from error
+        del content
+        self._is_text = False
+        if found.ignored:
+            kinds = listed(f"'{name}' is {kind}" for name, kind in found.ignored.items())
+            clause = counted_clause(len(found.ignored), f"columns are ignored because they are no numbers: {kinds}")
+            hint = "write each number as a column of its own"
+            self._note("table_columns", self.path.name, clause, len(found.ignored), hint)
+        if is_parquet:
+            yield self._named(self.path.name, _popped(found.arrays))
+        else:
+            yield from self._of_arrays(found.arrays)
 
     # --- Text.
 
@@ -250,10 +269,18 @@ class TableFile(LogFile):
             self._commas = 0
         return table
 
+    def _require_room(self, needed: int) -> None:
+        """Refuse a file whose tables need much more memory than it has bytes. A text has bytes for each cell."""
+        if not self._is_text:
+            try:
+                require_room(needed, len(self.file))
+            except ValueError as error:
+                raise self._unreadable(error) from error
+
     def _require_few(self, count: int) -> None:
         """Refuse a file with more columns than a log of sensors can have."""
-        if count > _MOST_COLUMNS:
-            what = f"has {count} columns; {_MOST_COLUMNS} are read"
+        if count > MOST_COLUMNS:
+            what = f"has {count} columns; {MOST_COLUMNS} are read"
             raise LogError(what, "write the columns of the IMU, the DVL and the reference to tables", self.path)
 
     def _numbers(self, topic: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
@@ -352,40 +379,6 @@ class TableFile(LogFile):
         return np.arange(count) * NS_PER_S, np.ones(count, np.bool_)
 
 
-def _arrays(content: memoryview, start: bytes) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a file of numpy or MATLAB by their names; a dot joins those of structures."""
-    found: dict[str, NDArray[Any]] = {}
-
-    def take(name: str, value: Any) -> None:
-        if isinstance(value, Mapping):
-            for key in value:
-                take(f"{name}.{key}" if name else str(key), value[key])
-            return
-        array = np.asarray(value)
-        for field in array.dtype.names or ():
-            take(f"{name}.{field}" if name else field, array[field])
-        if array.dtype.kind in "biufM":
-            found[name] = array
-
-    if start.startswith(b"\x93NUMPY"):
-        take("", np.load(BytesIO(content)))
-    elif start.startswith(b"PK"):
-        with zipfile.ZipFile(BytesIO(content)) as archive:
-            if sum(part.file_size for part in archive.infolist()) > most_opened(len(content)):
-                raise ValueError("it opens to more than a file of its size can hold")
-            if any(name.startswith("xl/") or name == "content.xml" for name in archive.namelist()):
-                raise _SpreadsheetError
-        with np.load(BytesIO(content)) as arrays:
-            take("", dict(arrays))
-    else:
-        from scipy.io import loadmat
-
-        stream: Any = BytesIO(content)
-        read = loadmat(stream, simplify_cells=True)
-        take("", {name: value for name, value in read.items() if not name.startswith("__")})
-    return found
-
-
 class _Names:
     """Names of columns, each once: of equal ones, the second is ``name_2``."""
 
@@ -402,6 +395,45 @@ class _Names:
             self._counts[name] += 1
         self._taken.add(unique)
         return unique
+
+
+def _popped(arrays: dict[str, NDArray[Any]]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Give arrays away one by one, as of a long dive they are large."""
+    while arrays:
+        name = next(iter(arrays))
+        yield name, arrays.pop(name)
+
+
+def _memory_of(table: _Table) -> int:
+    """Return the bytes that a table needs while its times and rows are made."""
+    columns = table.columns.values()
+    count = len(next(iter(columns)))
+    return np.dtype(np.float64).itemsize * (sum(values.size for values in columns) + _BESIDE * count)
+
+
+def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the numbers of the rows and their cells, (k, 1 + n), and let go of the columns."""
+    width = 1 + sum(1 if values.ndim == 1 else values.shape[1] for values in table.columns.values())
+    rows = np.empty((int(np.count_nonzero(kept)), width))
+    rows[:, 0] = np.flatnonzero(kept)
+    place = 1
+    for _, values in _popped(table.columns):
+        columns = values.reshape(len(kept), -1)
+        rows[:, place : place + columns.shape[1]] = columns if len(rows) == len(kept) else columns[kept]
+        place += columns.shape[1]
+    return rows
+
+
+def _clear_missing(rows: NDArray[np.float64]) -> int:
+    """Set cells that are no finite number to NaN; return how many there are in columns that have others."""
+    some = 0
+    for column in rows.T:
+        missing = ~(np.abs(column) < _LARGEST)
+        count = int(np.count_nonzero(missing))
+        if count:
+            column[missing] = np.nan
+            some += count if count < len(column) else 0
+    return some
 
 
 def _first_word(name: str) -> str:
