@@ -32,11 +32,12 @@ Biases are what remains in the readings: ``reading = true + bias``.
 What is missing is NaN with a word that says why, never 0.
 """
 
-from typing import TYPE_CHECKING, Any
-
 __version__ = "0.1.0"
 
+TYPE_CHECKING = False  # as in `typing`, whose import would delay the handling of signals
 if TYPE_CHECKING:
+    from typing import Any
+
     from insdvl_replay.api import (
         Candidate,
         CommandResult,
@@ -68,7 +69,7 @@ __all__ = [
 ]  # fmt: skip
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> "Any":
     """Load the public names when they are asked for: whoever wants help on a command must not wait for numpy."""
     if name in __all__:
         from insdvl_replay import api

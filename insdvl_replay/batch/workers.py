@@ -22,6 +22,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.interrupts import was_interrupted
 from insdvl_replay.core.runtime import prepare_process
 
 Item = TypeVar("Item")
@@ -37,6 +38,8 @@ _WORKERS_WITHIN_S: Final = 60
 _ENDED_WITHIN_S: Final = 15
 _ANSWERED_WITHIN_S: Final = 15
 _PR_SET_PDEATHSIG: Final = 1
+_SAFE_PATH: Final = "PYTHONSAFEPATH"
+"""Keeps the working folder off the path on which Python finds modules."""
 
 
 class WorkerLostError(LogError):
@@ -86,6 +89,8 @@ def _outcome(result: Callable[[], Result]) -> Result | Exception:
     try:
         return result()
     except Exception as error:
+        if was_interrupted():  # a library made another error of the interrupt
+            raise KeyboardInterrupt from error
         if isinstance(error, BrokenExecutor | CancelledError) or type(error).__name__ == "KilledWorker":
             return WorkerLostError(
                 f"its worker died, and died again with nothing else to do: {error}",
@@ -108,7 +113,9 @@ def local_pool(jobs: int, *, runs_code: bool = False) -> Pool | None:
 @contextmanager
 def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[], bool]]]:
     """Start processes; an exception, an interruption included, ends them with what they do."""
-    executor = ProcessPoolExecutor(1 if alone else jobs, multiprocessing.get_context("spawn"), _begin)
+    context, safe_path = multiprocessing.get_context("spawn"), os.environ.get(_SAFE_PATH)
+    with _safe_start():  # a pool starts a process that keeps track of its semaphores
+        executor = ProcessPoolExecutor(1 if alone else jobs, context, _begin, (safe_path,))
     before = set(multiprocessing.active_children())
     # When a worker dies, two threads of the pool may close one pipe. The second would print a traceback.
     queue: Any = vars(executor)["_call_queue"]
@@ -118,7 +125,12 @@ def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[
     )
     try:
         in_flight = 1 if alone or jobs == 1 else 2 * jobs
-        yield lambda work, item: executor.submit(_do, work, item), in_flight, lambda: False
+
+        def submit(work: Callable[[Item], Result], item: Item) -> Future[Result]:
+            with _safe_start():
+                return executor.submit(_do, work, item)
+
+        yield submit, in_flight, lambda: False
         executor.shutdown()
     except BaseException:
         ours = set(multiprocessing.active_children()) - before
@@ -137,12 +149,39 @@ def _processes(jobs: int, alone: bool) -> Iterator[tuple[Submit, int, Callable[[
         raise
 
 
-def _begin() -> None:
+@contextmanager
+def _safe_start() -> Iterator[None]:
+    """Let processes start without files of the working folder on their path, and without an interrupt.
+
+    Before Python gives a new process the path of this one, it would import `pickle.py` beside the dives. An interrupt
+    in a terminal reaches all processes, and would find the new ones among their imports; this one waits for it.
+    """
+    before = os.environ.get(_SAFE_PATH)
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        _set_safe_path(before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _set_safe_path(value: str | None) -> None:
+    """Set the variable as it was; programs of the user may need the folder that they are in."""
+    if value is None:
+        os.environ.pop(_SAFE_PATH, None)
+    else:
+        os.environ[_SAFE_PATH] = value
+
+
+def _begin(safe_path: str | None) -> None:
     """Prepare a new process for its work, before numpy is imported."""
+    _set_safe_path(safe_path)
     for name in _THREADS_OF_LIBRARIES:
         os.environ.setdefault(name, "1")  # the other cores belong to the other processes
     prepare_process()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     signal.signal(signal.SIGTERM, _end)
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a worker ends with a parent that is killed

@@ -8,23 +8,26 @@ import os
 import signal
 import sys
 import warnings
-from types import FrameType
-from typing import NoReturn
 
-from insdvl_replay.core.runtime import prepare_process
+from insdvl_replay.core.interrupts import handle_signals, interruptible, was_interrupted
+
+TYPE_CHECKING = False  # as in `typing`, whose import would delay the handling of signals
+if TYPE_CHECKING:
+    from typing import NoReturn
 
 INTERRUPTED = 130
 LOST_OUTPUT = 2
 
 
-def main() -> NoReturn:
+def main() -> "NoReturn":
     """Run the command line and leave with its exit code."""
-    signal.signal(signal.SIGTERM, _interrupt)
-    prepare_process()
-    # numpy's overflow warnings would point to lines of this package. Values that are not finite get a note or a status.
-    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    handle_signals()
     sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: PTH123, SIM115
-    code = run_command_line(sys.argv[1:])
+    try:
+        with interruptible():
+            code = _prepared_and_run()
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     # Under ``python -m``, an interruption within an `exec` would end Python with SIGINT; another one takes that back.
     exec("")
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is exiting already; keep its exit code
@@ -41,6 +44,16 @@ def main() -> NoReturn:
     sys.exit(code)
 
 
+def _prepared_and_run() -> int:
+    # Imported here, so that signals are handled already.
+    from insdvl_replay.core.runtime import prepare_process
+
+    prepare_process()
+    # numpy's overflow warnings would point to lines of this package. Values that are not finite get a note or a status.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    return run_command_line(sys.argv[1:])
+
+
 def run_command_line(arguments: list[str]) -> int:
     """Run one command, and return its exit code."""
     try:
@@ -51,12 +64,10 @@ def run_command_line(arguments: list[str]) -> int:
         try:
             return int(app(arguments, prog_name="insdvl-replay", standalone_mode=False) or 0)
         except Exception as error:
+            if was_interrupted():  # a library made another error of the interrupt
+                return INTERRUPTED
             return log_failure(error, typed_verbosity(arguments))
     except SystemExit as leaving:  # shell completion exits this way
         return int(leaving.code or 0)
     except KeyboardInterrupt:
         return INTERRUPTED
-
-
-def _interrupt(_signal: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt

@@ -4,6 +4,7 @@ import json
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -52,6 +53,13 @@ def durations(folder: Path) -> dict[str, float]:
     return taken_s
 
 
+def imports_s() -> float:
+    """Measure how long a command imports, before it reads its first file."""
+    start_s = time.monotonic()
+    subprocess.run([sys.executable, "-c", "import insdvl_replay.api, insdvl_replay.replay"], check=True)
+    return time.monotonic() - start_s
+
+
 def attack(folder: Path, seeds: range) -> Iterator[tuple[str, str, str, str]]:
     """Kill commands.
 
@@ -60,13 +68,16 @@ def attack(folder: Path, seeds: range) -> Iterator[tuple[str, str, str, str]]:
     str, str, str, str
         Which command, which signal, the verdict, and what was seen.
     """
-    taken_s = durations(folder)
+    taken_s, importing_s = durations(folder), imports_s()
     for seed in seeds:
         rng = Random(seed)
         name, number = rng.choice(sorted(taken_s)), rng.choice(SIGNALS)
-        delay_s = rng.uniform(0.0, taken_s[name])
+        delay_s, when = rng.uniform(0.0, taken_s[name]), ""
+        if seed % 4 == 0:  # most moments are beyond the imports
+            number, delay_s, when = signal.SIGINT, rng.uniform(0.0, importing_s), " in the imports"
         judged, seen = _killed(folder, name, number, delay_s)
-        yield name, number.name, judged, f"--seed {seed} --count 1: {name}, {number.name} after {delay_s:.2f} s: {seen}"
+        told = f"--seed {seed} --count 1: {name}, {number.name} after {delay_s:.2f} s: {seen}"
+        yield name, f"{number.name}{when}", judged, told
 
 
 def _killed(folder: Path, name: str, number: signal.Signals, delay_s: float) -> tuple[str, str]:
