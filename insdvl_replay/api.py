@@ -16,6 +16,7 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config as _load_config
 from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.errors import ConfigError, ResultError, UserError, hint_for
+from insdvl_replay.core.path_kinds import result_hint, result_named
 from insdvl_replay.core.result import Block, Callout, Code, Part, Report, Title
 from insdvl_replay.core.result import Result as Content
 from insdvl_replay.nav.user_candidate import Candidate as Candidate
@@ -23,7 +24,7 @@ from insdvl_replay.nav.user_candidate import Solution as Solution
 from insdvl_replay.nav.user_measurement import UserMeasurement as UserMeasurement
 from insdvl_replay.nav.user_measurement import UserNoise as UserNoise
 from insdvl_replay.nav.user_measurement import UserReadings as UserReadings
-from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, result_file, result_folder
+from insdvl_replay.results.folder import MAPS, PAGE, TRAJECTORY_FILE, is_result, result_file, result_folder
 from insdvl_replay.results.stored_results import read_one_result, read_reports
 from insdvl_replay.show.document import header_and_rows
 from insdvl_replay.show.screens import dive_screen, dives_screen
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 
 Text = str | Path
 Paths = Text | Sequence[Text]
+Settings = Config | Paths
 
 
 def load_config(
@@ -65,7 +67,7 @@ def load_config(
         A key or value is not valid, or a setting names code without ``allow_code``.
     """
     pairs = [*_pairs(settings)] if isinstance(settings, Mapping) else list(settings)
-    return _load_config(preset, [Path(file) for file in files], pairs, allow_code=allow_code)
+    return _load_config(preset, [_path("files", file) for file in files], pairs, allow_code=allow_code)
 
 
 def _pairs(settings: Mapping[str, object], within: str = "") -> Iterator[str]:
@@ -88,8 +90,56 @@ def _plain(key: str, value: object) -> object:
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def _paths(given: Paths) -> list[Path]:
-    return [Path(given)] if isinstance(given, str | Path) else [Path(part) for part in given]
+class WrongArgumentError(ConfigError, TypeError):
+    """An argument is of another kind: an object where a path is expected, or the other way round."""
+
+    __str__ = Exception.__str__
+
+
+def _path(name: str, given: object) -> Path:
+    """Return an argument as a path."""
+    if isinstance(given, str | os.PathLike):
+        return Path(given)
+    hint = "give the path of a file or a folder"
+    if isinstance(given, Config):
+        hint = "settings are the argument `config`"
+    elif isinstance(given, Result):
+        hint = "save it first: `result.save(FOLDER)`, and give this folder"
+    raise WrongArgumentError(f"{name}: is not a path, but a {type(given).__name__}", hint)
+
+
+def _paths(given: Paths, name: str = "log") -> list[Path]:
+    if isinstance(given, str | os.PathLike) or not isinstance(given, Sequence):
+        return [_path(name, given)]
+    return [_path(name, part) for part in given]
+
+
+def _logs(given: Paths, name: str = "log") -> list[Path]:
+    """Return the paths of logs."""
+    paths = _paths(given, name)
+    for path in paths:
+        if (folder := result_named(path)) is not None and is_result(folder):
+            raise ConfigError(f"{path}: is a result, not a log", result_hint(folder))
+        if path.suffix == ".toml":
+            raise ConfigError(f"{path}: is a TOML file, not a log", "settings are the argument `config`")
+    return paths
+
+
+def _settings(given: Settings | None, name: str = "config") -> Config:
+    """Return an argument as settings; paths are read as `load_config` reads them, and None gives the defaults."""
+    if given is None:
+        return Config()
+    if isinstance(given, Config):
+        return given
+    if isinstance(given, str | os.PathLike | list | tuple):
+        return load_config(*_paths(given, name))
+    if isinstance(given, Mapping):
+        raise WrongArgumentError(
+            f"{name}: is not settings, but a {type(given).__name__}", f"{name}=load_config(settings=...)"
+        )
+    raise WrongArgumentError(
+        f"{name}: is not settings, but a {type(given).__name__}", f"{name}=load_config('vehicle.toml')"
+    )
 
 
 # --- What a command does.
@@ -97,7 +147,7 @@ def _paths(given: Paths) -> list[Path]:
 
 def replay_log(
     log: Paths,
-    config: Config | None = None,
+    config: Settings | None = None,
     *,
     allow_damaged: bool = False,
     name: str | None = None,
@@ -109,8 +159,8 @@ def replay_log(
     ----------
     log : str, Path or sequence of them
         An MCAP file or a bag folder, or several of one dive.
-    config : Config, optional
-        From `load_config`. Default: the default settings.
+    config : Config, str, Path or sequence of them, optional
+        From `load_config`, or TOML files as for it. Default: the default settings.
     allow_damaged : bool
         Use the readable part of a damaged log.
     name : str, optional
@@ -128,17 +178,17 @@ def replay_log(
     from insdvl_replay.replay import replay_log as replayed
     from insdvl_replay.results.result_files import report_of
 
-    paths = _paths(log)
+    paths, settings = _logs(log), _settings(config)
     run = partial(replayed, paths, allow_damaged=allow_damaged, name=name)
     try:
-        replay = run(config or Config(), require_fit=auto)
+        replay = run(settings, require_fit=auto)
     except UserError:
         if not auto:
             raise
         from insdvl_replay.inspection.automatic import find_settings
         from insdvl_replay.inspection.proposal import Given
 
-        found = find_settings([paths], Given(config or Config()), allow_damaged=allow_damaged)
+        found = find_settings([paths], Given(settings), allow_damaged=allow_damaged)
         replay = run(found.config)
         replay = replace(replay, notes=(*found.notes, *replay.notes))
     return DiveResult(report_of(replay), _replay=replay)
@@ -154,7 +204,7 @@ def read_result(folder: Text) -> "DiveResult":
     ResultError
         The result cannot be read, or is of a version that cannot be read.
     """
-    found, report = read_one_result(Path(folder), Report)
+    found, report = read_one_result(_path("folder", folder), Report)
     return DiveResult(report, folder=found)
 
 
@@ -172,7 +222,7 @@ def read_results(folder: Text) -> "DiveResults":
     from insdvl_replay.show.dive import TOGETHER
     from insdvl_replay.show.dives import named_result, overview_parts
 
-    found, _ = read_reports(Path(folder), Report)
+    found, _ = read_reports(_path("folder", folder), Report)
     reports = [report for _, report in found]
     content = named_result(reports, [*(layout.name for layout in TABLES), *TOGETHER], ())
     dives = {os.path.relpath(file.parent, folder): DiveResult(report, file.parent) for file, report in found}
@@ -197,13 +247,13 @@ def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any
     from insdvl_replay.logs import write_dive
     from insdvl_replay.sim.dive import simulate_dive
 
-    with result_file(Path(output), force=force) as path:
+    with result_file(_path("output", output), force=force) as path:
         write_dive(path, simulate_dive(scenario, **options))
     return Path(output)
 
 
 def inspect(
-    log: Paths, config: Config | None = None, *, deep: bool = False, allow_damaged: bool = False
+    log: Paths, config: Settings | None = None, *, deep: bool = False, allow_damaged: bool = False
 ) -> "CommandResult":
     """Return what is in a log, or in several of one dive, and what would stop a replay.
 
@@ -215,18 +265,18 @@ def inspect(
     from insdvl_replay.inspection.inventory import inspection_result
     from insdvl_replay.inspection.survey import inspect_log
 
-    paths = _paths(log)
-    inventory = inspect_log(paths, (config or Config()).without_code(), deep=deep, allow_damaged=allow_damaged)
+    paths = _logs(log)
+    inventory = inspect_log(paths, _settings(config).without_code(), deep=deep, allow_damaged=allow_damaged)
     return CommandResult(inspection_result(inventory, " ".join(map(str, paths))))
 
 
-def propose(logs: Paths, config: Config | None = None, *, allow_damaged: bool = False) -> "CommandResult":
+def propose(logs: Paths, config: Settings | None = None, *, allow_damaged: bool = False) -> "CommandResult":
     """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
     from insdvl_replay.inspection.automatic import settings_file
     from insdvl_replay.inspection.proposal import Given
 
-    dives = [[path] for path in _paths(logs)]
-    found = settings_file(dives, Given((config or Config()).without_code()), allow_damaged=allow_damaged)
+    dives = [[path] for path in _logs(logs, "logs")]
+    found = settings_file(dives, Given(_settings(config).without_code()), allow_damaged=allow_damaged)
     sentences = [f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}" for note in found.notes]
     sentences += [] if found.failure is None else [f"blocker: {found.failure.message}; hint: {found.failure.hint}"]
     title = "Proposed settings"
@@ -237,7 +287,7 @@ def propose(logs: Paths, config: Config | None = None, *, allow_damaged: bool = 
 
 def calibrate(
     logs: Paths,
-    config: Config | None = None,
+    config: Settings | None = None,
     *,
     only: Sequence[str] | None = None,
     reference: bool = False,
@@ -265,15 +315,16 @@ def calibrate(
     from insdvl_replay.calibration.innovations import read_dive
     from insdvl_replay.calibration.output import calibration_figures, calibration_result, calibration_toml
 
-    groups, config = require_groups(only, reference=reference), config or Config()
-    dives = [read_dive([path], config, allow_damaged=allow_damaged) for path in _paths(logs)]
+    groups = require_groups(only, reference=reference)
+    settings = _settings(config)
+    dives = [read_dive([path], settings, allow_damaged=allow_damaged) for path in _logs(logs, "logs")]
     found, resolved, _, asked = calibrate_dives(
-        dives, config, groups, hold_out=[*map(str, hold_out)], reference=reference,
+        dives, settings, groups, hold_out=[*map(str, hold_out)], reference=reference,
         one_delay=one_delay, mounting_unknown=mounting_unknown,
     )  # fmt: skip
-    settings = calibration_toml(answer_of(found).applied(found), [dive.prepared.alignment.start_ns for dive in asked])
+    text = calibration_toml(answer_of(found).applied(found), [dive.prepared.alignment.start_ns for dive in asked])
     content = calibration_result(found, resolved, figures=calibration_figures(found, asked))
-    return CommandResult(replace(content, settings=settings))
+    return CommandResult(replace(content, settings=text))
 
 
 def compare(
@@ -303,21 +354,21 @@ def compare(
     from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 
     found = compare_results(
-        Path(old), Path(new), tables=tables, columns=columns, dives=dives, filter_pairs=pairs or {},
+        _path("old", old), _path("new", new), tables=tables, columns=columns, dives=dives, filter_pairs=pairs or {},
         tolerance_pct=tolerance_pct,
     )  # fmt: skip
     return CommandResult(comparison_result(found, comparison_document(found)))
 
 
 def compare_settings(
-    logs: Paths, before: Config, after: Config, folder: Text, *, allow_damaged: bool = False, force: bool = False
+    logs: Paths, before: Settings, after: Settings, folder: Text, *, allow_damaged: bool = False, force: bool = False
 ) -> "CommandResult":
     """Replay dives with two settings, a log each, into ``folder/before`` and ``folder/after``, and compare them.
 
     Parameters
     ----------
-    before, after : Config
-        From `load_config`.
+    before, after : Config, str, Path or sequence of them
+        From `load_config`, or TOML files as for it.
     folder : str or Path
         Results that are up to date are used again.
     force : bool
@@ -326,8 +377,12 @@ def compare_settings(
     from insdvl_replay.batch.dive_paths import FoundDive
     from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
 
-    options = ReplayOptions(before, allow_damaged), ReplayOptions(after, allow_damaged)
-    (old, old_jobs), (new, new_jobs) = plan_both_sides([*map(FoundDive, _paths(logs))], Path(folder), options)
+    options = (
+        ReplayOptions(_settings(before, "before"), allow_damaged),
+        ReplayOptions(_settings(after, "after"), allow_damaged),
+    )
+    dives = [*map(FoundDive, _logs(logs, "logs"))]
+    (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, _path("folder", folder), options)
     jobs = [*old_jobs, *new_jobs]
     for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
         if isinstance(outcome.result, Exception):
@@ -336,7 +391,7 @@ def compare_settings(
 
 
 def check(
-    gates: Text, dives: Paths = (), config: Config | None = None, *, results: Text = "checked"
+    gates: Text, dives: Paths = (), config: Settings | None = None, *, results: Text = "checked"
 ) -> "CommandResult":
     """Check dives against gates: table gates has the status of each gate on each dive.
 
@@ -346,7 +401,7 @@ def check(
         TOML file with the gates.
     dives : str, Path or sequence of them
         Logs or result folders. Default: those named in ``gates``.
-    config : Config, optional
+    config : Config, str, Path or sequence of them, optional
         Settings for logs. Default: those named in ``gates``.
     results : str or Path
         Folder for the results of logs, which are replayed if something has changed.
@@ -358,10 +413,10 @@ def check(
     from insdvl_replay.changes.gate_file import load_gates
     from insdvl_replay.changes.gates import evaluate_gates
 
-    found = load_gates(Path(gates))
-    named, base = ([*map(str, _paths(dives))], Path()) if dives else (found.content.dives, found.path.parent)
+    found = load_gates(_path("gates", gates))
+    named, base = ([*map(str, _paths(dives, "dives"))], Path()) if dives else (found.content.dives, found.path.parent)
     files = [base / found.content.config] if found.content.config and config is None else []
-    settings = config or _load_config(found.content.preset, files)
+    settings = _load_config(found.content.preset, files) if config is None else _settings(config)
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
     meant = find_dives(named, base, results=True)
     own_files = {file for dive in meant if (file := dive.settings) is not None and config is None}
@@ -467,7 +522,7 @@ class CommandResult(Result):
         """Write page, tables, report.json and, as proposed.toml, the settings into a new folder; return its path."""
         from insdvl_replay.show.render import save_result
 
-        with result_folder(Path(folder), force=force) as made:
+        with result_folder(_path("folder", folder), force=force) as made:
             save_result(replace(self.content, data=None), made)
         return Path(folder)
 
@@ -576,7 +631,7 @@ class DiveResult(Result):
         """Write the tracks of all filters and the reference as ``.kml`` or ``.geojson``, and return the path."""
         from insdvl_replay.results.tracks import map_of_tracks
 
-        target = Path(file)
+        target = _path("file", file)
         if (format_ := target.suffix.removeprefix(".")) not in MAPS:
             raise ConfigError(f"{target}: does not end in .kml or .geojson", f"{target.with_suffix('.geojson')}")
         with result_file(target, force=force) as path:
@@ -589,7 +644,7 @@ class DiveResult(Result):
 
         if self._replay is None:
             raise ValueError(f"{self.name}: is already stored in {self.folder}")
-        target = Path(folder)
+        target = _path("folder", folder)
         with result_folder(target, force=force) as made:
             save_replay(self._replay, made)
         return target

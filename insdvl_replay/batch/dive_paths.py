@@ -10,6 +10,7 @@ from typing import Final
 
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 from insdvl_replay.core.errors import ConfigError, NaturalKey, UserError, natural_key, read_text
+from insdvl_replay.core.path_kinds import result_hint, result_named
 from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"
@@ -114,6 +115,9 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
         found = [dive for line in lines for dive in _meant(line, path.parent, results=results, lists=False)]
     else:
         found = [FoundDive(dive) for dive in _local(path, results=results)]
+    result = result_named(path)
+    if result is not None and not results and found in ([], [FoundDive(path)]) and is_result(result):
+        raise ConfigError(f"{path}: is a result, not a log", result_hint(result))
     if not found:
         kinds = "logs, bags or results" if results else "logs, bags or tables"
         raise ConfigError(f"{path}: no dive is found there", f"check the path: it needs {kinds}")

@@ -14,8 +14,9 @@ from urllib.parse import urlsplit
 from msgspec import Meta, Struct
 
 from insdvl_replay.batch.dive_paths import FoundDive
-from insdvl_replay.core.config_file import converted, read_toml
+from insdvl_replay.core.config_file import SECTIONS, converted, read_toml
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, listed
+from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.logs.formats.remote import StalledError, fetched, file_digest, is_url, remote_name
@@ -50,6 +51,7 @@ def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
         The manifest is wrong, or no dive has the tag.
     """
     source = read_toml(file, _EXAMPLE, if_unreadable="name a file of dives", if_invalid=_EXAMPLE)
+    require_kind_of_toml(file, source.content, "dives", SECTIONS)
     manifest = converted(source.content, Manifest, source)
     if not manifest.dive:
         raise ConfigError(f"{file}: lists no dives", _EXAMPLE)

@@ -22,6 +22,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn, TypeVar
 
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.interrupts import was_interrupted
 from insdvl_replay.core.runtime import prepare_process
 
@@ -209,9 +210,8 @@ def cluster_pool(address: str) -> Pool:
     try:
         distributed = importlib.import_module("distributed")
     except ImportError as error:
-        raise ConfigError(
-            f"--scheduler {address}: dask.distributed is not installed", "pip install 'insdvl-replay[cluster]'"
-        ) from error
+        text = f"--scheduler {address}: dask.distributed is not installed"
+        raise ConfigError(text, install_hint("cluster")) from error
     # Its own logs would print, with tracebacks, what an error of ours says in a sentence.
     for name in ["distributed", "tornado", "asyncio", *logging.root.manager.loggerDict]:
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):

@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from insdvl_replay.changes.cells import PROSE, RowPair, changed_settings, paired_rows
 from insdvl_replay.core.config import Config, flattened
-from insdvl_replay.core.config_file import LARGEST, converted, read_toml
+from insdvl_replay.core.config_file import LARGEST, SECTIONS, converted, read_toml
 from insdvl_replay.core.errors import (
     ConfigError,
     UserError,
@@ -29,6 +29,7 @@ from insdvl_replay.core.errors import (
     looked_for,
     require_known,
 )
+from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.result import Row, StoredLog, StoredReport, as_json
 from insdvl_replay.core.states import COLUMNS, GROUPS
 from insdvl_replay.core.tables import CANDIDATES, TABLES, PooledRow, layout_of
@@ -141,6 +142,7 @@ def load_gates(path: Path) -> Gates:
     source = read_toml(
         path, f"for example {EXAMPLE}", if_unreadable="name a file of gates", if_invalid=f"[[gate]] {EXAMPLE}"
     )
+    require_kind_of_toml(path, source.content, "gates", SECTIONS)
     content = converted(source.content, GateFile, source)
     gates = list[CellGate | TrajectoryGate]()
     for number, table in enumerate(content.gate, 1):

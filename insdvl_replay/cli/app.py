@@ -14,7 +14,10 @@ from insdvl_replay.cli.utilities import compile_, config, explain, figure, schem
 
 # Plain help: rich would add 0.1 s and cut lines in a pipe.
 app = typer.Typer(
-    rich_markup_mode=None, pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=opt.PlainGroup,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema, explain):
     app.command(cls=opt.PlainCommand)(command)

@@ -1,5 +1,6 @@
 """Print results to stdout, everything else to stderr, and turn errors into messages."""
 
+import inspect
 import os
 import re
 import shlex
@@ -8,11 +9,11 @@ import traceback
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from insdvl_replay.core.errors import LogError, Note, UserError, nearest, visible, visible_lines, without_commands
+from insdvl_replay.core.errors import LogError, Note, UserError, most_like, visible, visible_lines, without_commands
 
 INTERNAL_ERROR = 4
 USAGE = 2
@@ -31,6 +32,8 @@ _PLAIN_WORDS: Final = (
     (r"Input should be a valid number.*", "needs a number"),
 )
 """Phrases of typer and its value checks, with plain ones. They differ between versions."""
+_ALIKE_OPTIONS: Final = 0.75
+"""Share of letters that a misspelled option has in common with the one that was meant."""
 
 
 def write_stdout(text: str, *, commands: bool = False) -> None:
@@ -118,6 +121,29 @@ def _explained(error: Exception) -> tuple[int, str, str]:
     )
 
 
+def _option_meant(option: str, context: Any) -> str:
+    """Return the option that was probably meant, with its value where the word is one: --json is --format json."""
+    word = option.lstrip("-")
+    parameters = context.command.params if context else []
+    kinds = get_type_hints(inspect.unwrap(context.command.callback)) if parameters else {}
+    for parameter in parameters:
+        if word in _allowed_words(kinds.get(parameter.name)):
+            return f"{max(parameter.opts, key=len)} {word}"
+    names = {
+        name.lstrip("-"): name for parameter in parameters for name in (*parameter.opts, *parameter.secondary_opts)
+    }
+    # Of short words many are alike by chance, as json and geojson are.
+    found = most_like(word, [name for name in names if len(name) > 1], most=1, least=_ALIKE_OPTIONS)
+    return names[found[0]] if found else ""
+
+
+def _allowed_words(kind: Any) -> list[str]:
+    """Return the words that a type allows, such as ``Literal["json", "csv"] | None``."""
+    if get_origin(kind) is Literal:
+        return list(get_args(kind))
+    return [word for inner in get_args(kind) for word in _allowed_words(inner)]
+
+
 def _explained_usage(error: Any) -> tuple[str, str]:
     """Return the message and the hint of an error of the parser."""
     text = " ".join(str(error.format_message()).split())
@@ -127,7 +153,7 @@ def _explained_usage(error: Any) -> tuple[str, str]:
     hint = f"`{context.command_path if context else 'insdvl-replay'} --help` lists commands, arguments and options"
     if option := getattr(error, "option_name", ""):
         text = re.sub(r" \(Possible options: .*\)| Did you mean .*\?", "", text)
-        meant = nearest(option, getattr(error, "possibilities", None) or ())
+        meant = _option_meant(option, context)
         hint = f"did you mean {meant}?" if meant else hint
     elif suggested := re.search(r"\. Did you mean '([^']+)'\?$", text):
         text, hint = text[: suggested.start()], f"did you mean {suggested[1]}?"

@@ -1,15 +1,18 @@
 """Options that several commands share, and the allowed values of options."""
 
 import re
+import shlex
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
+from insdvl_replay.core.dive_record import TABLE_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.path_kinds import PAGES, looks_like_log, result_named
 
 
 class PlainCommand(TyperCommand):
@@ -18,6 +21,31 @@ class PlainCommand(TyperCommand):
     def get_help(self, ctx: typer.Context) -> str:  # type: ignore[override]
         """Return the help."""
         return re.sub(r" <list\[\w+\]>", lambda kind: " " * len(kind[0]), super().get_help(ctx))
+
+
+class PlainGroup(TyperGroup):
+    """A group of commands that says what was meant where a path is given instead of a command."""
+
+    def resolve_command(self, ctx: typer.Context, args: list[str]) -> Any:  # type: ignore[override]
+        """Return the command that the first argument names."""
+        if args and args[0] not in self.commands:
+            _raise_if_path(args)
+        return super().resolve_command(ctx, args)
+
+
+def _raise_if_path(args: list[str]) -> None:
+    """Raise a ConfigError, with the command that was probably meant, if the first argument is a path and no command."""
+    path = Path(args[0])
+    typed = " ".join(map(shlex.quote, args))
+    hint = ""
+    if (folder := result_named(path)) is not None:
+        hint = f"it is a result: open {folder / PAGES[0]}, or `insdvl-replay compare OLD {shlex.quote(args[0])}`"
+    elif path.suffix == ".toml" and path.is_file():
+        hint = f"settings: `insdvl-replay run LOG -c {typed}`; gates: `insdvl-replay check {typed}`"
+    elif looks_like_log(path) or path.exists() or path.suffix.lower() in TABLE_SUFFIXES:
+        hint = f"did you mean `insdvl-replay run {typed}`?"
+    if hint:
+        raise ConfigError(f"{args[0]}: is a path, where a command is expected", hint)
 
 
 def _names(module: str, names: str) -> Callable[[str], list[str]]:

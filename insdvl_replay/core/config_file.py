@@ -31,6 +31,7 @@ from insdvl_replay.core.config import (
     key_of,
     spelled_out,
 )
+from insdvl_replay.core.config_limits import impossible_values
 from insdvl_replay.core.errors import (
     LISTED,
     ConfigError,
@@ -46,6 +47,7 @@ from insdvl_replay.core.errors import (
     require_known,
     visible,
 )
+from insdvl_replay.core.path_kinds import looks_like_log, require_kind_of_toml
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
 KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and places in arrays among them.
@@ -58,6 +60,7 @@ CANDIDATE_KEYS: Final = (
     ("program", "timeout_s", "input", "version"),
     ("candidate", "timeout_s", "version"),
 )
+SECTIONS: Final = frozenset(Config.__struct_fields__)
 LARGEST: Final = 1e30  # No measured value is larger, and powers of smaller values do not overflow.
 _HINT: Final = "`insdvl-replay config` prints all keys with type and unit"
 # Similarity from which a name is surely a misspelling, whatever other names share words with it.
@@ -126,6 +129,9 @@ def read_toml(path: Path, hint: str, *, if_unreadable: str, if_invalid: str) -> 
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}", if_unreadable) from error
     except UnicodeDecodeError as error:
+        if looks_like_log(path):
+            hint = f"a log needs no option: `insdvl-replay run {path}`"
+            raise ConfigError(f"{path}: is a log, where a TOML file is expected", hint) from error
         raise ConfigError(f"{path}: is not UTF-8 text (byte {error.start})", "use a TOML file") from error
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: is not valid TOML: {error}", if_invalid) from error
@@ -341,7 +347,9 @@ def _preset(name: str) -> TomlSource:
 
 def _file(path: Path) -> TomlSource:
     invalid = "`insdvl-replay config` prints a valid one"
-    return read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
+    source = read_toml(path, _HINT, if_unreadable="check the path given to -c", if_invalid=invalid)
+    require_kind_of_toml(path, source.content, "settings", SECTIONS)
+    return source
 
 
 def _with_place_for(
@@ -481,6 +489,7 @@ Problem = tuple[KeyPath, str, str]  # key, whose layer the message names; what i
 
 def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     """Yield unknown words, invalid names, inconsistent filters, and code that is not allowed."""
+    yield from impossible_values(config)
     held_out = config.evaluation.held_out
     yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
     if not config.filters:

@@ -37,7 +37,7 @@ from insdvl_replay.inspection.proposal import (
 )
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.trials import CONSISTENT
-from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.prepared import raise_if_span_is_empty, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import FIT, LEAST_NIS, MOST_NIS, baseline_fit, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
 
@@ -82,6 +82,7 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     dives, whole, given = dives[:MOST_DIVES], given, replace(given, config=given.config.without_code())
     notes: list[Note] = []
     readings = read_roles(dives[0], given.config, allow_damaged=allow_damaged)
+    raise_if_span_is_empty(readings.place, readings.imus[0].columns, given.config.span)
     config, cost = with_roles(readings, given, notes)
     config = _with_latitude(_as_given(config, given), readings.reference, notes)
     del readings

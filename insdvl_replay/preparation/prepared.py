@@ -11,7 +11,7 @@ from msgspec.structs import replace as changed
 from insdvl_replay import logs
 from insdvl_replay.checks.reference import plausibility_notes
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
-from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.config import Config, Imu, Span
 from insdvl_replay.core.dive_columns import (
     NS_PER_S,
     Dive,
@@ -205,19 +205,29 @@ def _ping_notes(dive: Dive, velocities: DvlVelocities, limit_mps: float | None) 
     return notes
 
 
+def raise_if_span_is_empty(name: str, imu: ImuColumns, span: Span) -> None:
+    """Raise a LogError if ``--start`` and ``--end`` leave nothing of a dive."""
+    duration_s = float(imu.time_ns[-1] - imu.time_ns[0]) / NS_PER_S
+    start_s = max(0.0, span.start_s or 0.0)
+    end_s = duration_s if span.end_s is None else min(span.end_s, duration_s)
+    if start_s < end_s:
+        return
+    text = f"there is nothing between --start {start_s:g} s and --end {end_s:g} s"
+    if start_s >= duration_s:
+        text = f"--start {start_s:g} s is after the end"
+    elif end_s <= 0.0:
+        text = f"--end {end_s:g} s is before the start"
+    hint = "--start and --end count seconds from the first IMU sample"
+    raise LogError(f"{name}: {text}; the IMU covers 0 to {duration_s:.1f} s", hint)
+
+
 def _span(dive: Dive, velocities: DvlVelocities, config: Config) -> tuple[int, int]:
     """Return the span of the replay, by IMU, DVL and configuration."""
     first_ns, last_ns = int(dive.imu.time_ns[0]), int(dive.imu.time_ns[-1])
     start_s, end_s = config.span.start_s, config.span.end_s
     start_ns = first_ns if start_s is None else max(first_ns, first_ns + nanoseconds(start_s))
     end_ns = last_ns if end_s is None else min(last_ns, first_ns + nanoseconds(end_s))
-    if start_ns >= end_ns:
-        duration_s = (last_ns - first_ns) * 1e-9
-        raise LogError(
-            f"{dive.name}: there is nothing between --start {start_s or 0:g} s and --end "
-            f"{duration_s if end_s is None else end_s:g} s; the IMU covers 0 to {duration_s:.1f} s",
-            "--start and --end count seconds from the first IMU sample",
-        )
+    raise_if_span_is_empty(dive.name, dive.imu, config.span)
     if velocities.time_ns[-1] <= start_ns or velocities.time_ns[0] > end_ns:
         before_s, after_s = ((int(velocities.time_ns[row]) - first_ns) * 1e-9 for row in (0, -1))
         raise LogError(

@@ -18,6 +18,7 @@ import msgspec
 from msgspec.structs import asdict
 
 from insdvl_replay.core.errors import ConfigError, read_regular
+from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.tables import LAKE, TABLES, LakeRow
 
@@ -276,7 +277,7 @@ def require_parquet(option: str, otherwise: str) -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:
-        raise ConfigError(f"{option} needs pyarrow", f"pip install pyarrow, or {otherwise}") from error
+        raise ConfigError(f"{option} needs pyarrow", f"{install_hint('tables')}, or {otherwise}") from error
 
 
 def require_lake(lake: Path, outputs: Collection[Path]) -> None:

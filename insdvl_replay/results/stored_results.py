@@ -9,6 +9,7 @@ import msgspec
 
 from insdvl_replay import __version__
 from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
+from insdvl_replay.core.path_kinds import looks_like_log, replay_hint
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
 from insdvl_replay.results.folder import COMPLETE, LABELS, NOT_JSON, Label, read_file
@@ -57,6 +58,8 @@ def _report_files(root: Path) -> Iterator[Path]:
     with looked_for(root):
         if not root.exists():
             raise ConfigError(f"{root}: does not exist", "name a result folder, a report.json or a folder of results")
+    if looks_like_log(root):
+        raise ConfigError(f"{root}: is a log, not a result", replay_hint(root))
     if root.is_file():
         yield root
         return

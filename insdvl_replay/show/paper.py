@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.result import Figure, Panel
 
 if TYPE_CHECKING:
@@ -66,8 +67,8 @@ def require_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        hint = "pip install 'insdvl-replay[figures]'"
-        raise ConfigError("this picture needs matplotlib, which is not installed", hint) from error
+        text = "this picture needs matplotlib, which is not installed"
+        raise ConfigError(text, install_hint("figures")) from error
 
 
 def require_width(width_mm: float, option: str) -> None:

@@ -426,3 +426,15 @@ def test_a_trace_that_nobody_can_read_does_not_change_the_exit_code(tmp_path: Pa
     words = f"{sys.executable} -m insdvl_replay run text.mcap -vv 2>/dev/full"
     done = subprocess.run(words, shell=True, cwd=tmp_path, capture_output=True, timeout=60, check=False)
     assert done.returncode == 3
+
+
+@pytest.mark.parametrize(
+    ("option", "meant"),
+    [("--json", "--format json"), ("--always", "--color always"), ("--ouput", "--output"), ("--jsn", ""), ("--x", "")],
+)
+def test_an_unknown_option_is_answered_with_what_was_meant_or_not_at_all(
+    option: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command_line(["run", "dive.mcap", option]) == 2
+    hint = capsys.readouterr().err.partition("; hint: ")[2]
+    assert hint.startswith(f"did you mean {meant}?" if meant else "`insdvl-replay run --help`")

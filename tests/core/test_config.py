@@ -297,3 +297,27 @@ def test_a_name_is_a_topic_or_by_its_ending_a_file_and_keys_can_be_added(tmp_pat
     assert list(config.computed) == ["a"]
     assert 'solution = "/odometry"' in render_toml(config)
     assert "gate_probability" not in render_toml(config).partition("[filters.b]")[2]  # what it has not is not shown
+
+
+@pytest.mark.parametrize(
+    ("setting", "hint"),
+    [
+        ("dvl.lever_arm_m=[300,0,0]", "300 mm are 0.3"),
+        ("reference.lever_arm_m=[0,-1834,95]", "-1834 mm are -1.834"),
+        ("depth.lever_arm_m=[0,0,50.1]", "metres"),
+        ("position.lever_arm_m=[0,60,0]", "metres"),
+        ("dvl.mounting_rpy_deg=[0,0,5730]", "from -360 to 360"),
+        ("heading.mounting_rpy_deg=[361,0,0]", "degrees"),
+        ("initial.heading_deg=-361", "degrees"),
+    ],
+)
+def test_lengths_and_angles_that_no_vehicle_has_are_refused(setting: str, hint: str) -> None:
+    with pytest.raises(ConfigError) as refusal:
+        load_config(overrides=[setting])
+    assert refusal.value.where == (f"--set {setting}",)
+    assert refusal.value.what.startswith(setting.partition("=")[0])
+    assert hint in refusal.value.hint
+
+
+def test_the_largest_lengths_and_angles_are_settings() -> None:
+    load_config(overrides=["dvl.lever_arm_m=[-50,50,0]", "dvl.mounting_rpy_deg=[360,-360,0]"])

@@ -1,13 +1,15 @@
 """A function for every command: what it returns has tables as data frames, a screen, and can be saved."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 
 import insdvl_replay
 from insdvl_replay import CommandResult, load_config, read_results, replay_log
-from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.errors import ConfigError, UserError
 
 ARCHIVE = Path(__file__).resolve().parents[2] / "examples" / "archive"
 FAST = load_config(settings={"evaluation.starts": 1})
@@ -100,3 +102,41 @@ def test_many_dives_have_pooled_evidence(folder: Path, tmp_path: Path) -> None:
     is_whole(results, set(tables), tmp_path / "all")
     with pytest.raises(UserError, match="holds only results of studies"):
         read_results(tmp_path)
+
+
+def test_settings_may_be_given_as_files(tmp_path: Path) -> None:
+    (tmp_path / "vehicle.toml").write_text("[dvl]\nlever_arm_m = [300, 0, 0]\n")
+    with pytest.raises(ConfigError) as refusal:
+        replay_log(ARCHIVE / "dives" / "transit.mcap", str(tmp_path / "vehicle.toml"))
+    assert refusal.value.where == (str(tmp_path / "vehicle.toml"),)
+
+
+@pytest.mark.parametrize(
+    ("call", "argument"),
+    [
+        (lambda log, _: replay_log(log, {"dvl.scale": 1.0}), "config"),
+        (lambda *_: replay_log(FAST), "log"),
+        (lambda *_: insdvl_replay.inspect(None), "log"),
+        (lambda log, _: insdvl_replay.calibrate([log, FAST]), "logs"),
+        (lambda *_: load_config(FAST), "files"),
+        (lambda *_: read_results(3), "folder"),
+        (lambda *_: insdvl_replay.check(FAST), "gates"),
+        (lambda log, folder: insdvl_replay.compare_settings(log, FAST, 3, folder), "after"),
+        (lambda _, folder: insdvl_replay.compare(insdvl_replay.read_result(folder / "transit"), folder), "old"),
+    ],
+)
+def test_an_argument_of_another_kind_is_named(call: Callable[..., Any], argument: str, folder: Path) -> None:
+    with pytest.raises(TypeError) as refusal:
+        call(ARCHIVE / "dives" / "transit.mcap", folder)
+    assert isinstance(refusal.value, UserError)
+    assert refusal.value.what.startswith(f"{argument}: is not ")
+    assert refusal.value.hint
+
+
+@pytest.mark.parametrize("name", ["transit", "transit/report.json", "vehicle.toml"])
+def test_a_result_or_settings_are_no_log_and_a_log_is_no_result(name: str, folder: Path) -> None:
+    for call in (replay_log, insdvl_replay.inspect, insdvl_replay.propose, insdvl_replay.calibrate):
+        with pytest.raises(ConfigError, match="not a log"):
+            call(folder / name)
+    with pytest.raises(ConfigError, match="not a result"):
+        insdvl_replay.compare(ARCHIVE / "dives" / "transit.mcap", folder)

@@ -190,7 +190,7 @@ def test_a_picture_without_matplotlib_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert run_command_line(["figure", str(folder), "error", "-o", str(tmp_path / "error.pdf")]) == 2
-    assert "insdvl-replay[figures]" in capsys.readouterr().err
+    assert "pip install 'matplotlib>=" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -216,7 +216,7 @@ def test_parquet_needs_its_library_and_says_so_before_any_work(
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path / "out"), "--history", "parquet"]) == 2
-    assert "pip install pyarrow" in capsys.readouterr().err
+    assert "'pyarrow>=" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

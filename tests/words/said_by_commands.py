@@ -12,6 +12,25 @@ WRONG = (
     "run",
     "run DIVE --tabel drift",
     "run DIVE --frce",
+    "run DIVE --json",
+    "run DIVE --html",
+    "check gates.toml --junit",
+    "DIVE",
+    "DIVE --start 5",
+    "taken/dive",
+    "vehicle.toml",
+    "compare DIVE DIVE",
+    "figure DIVE error",
+    "run taken/dive",
+    "inspect taken/dive/report.json",
+    "run vehicle.toml",
+    "run gates.toml",
+    "run DIVE -c dives.toml",
+    "run DIVE -c DIVE",
+    "check DIVE",
+    "check vehicle.toml",
+    "run DIVE --start 5000 --no-auto",
+    "run DIVE --end -3 --no-auto",
     "run DIVE --starts 0",
     "run DIVE --starts few",
     "run DIVE --format xml",
@@ -67,6 +86,9 @@ def said_by_commands(folder: Path) -> Cases:
     (folder / "taken" / "dive" / "report.json").write_text('{"tool": {"name": "insdvl-replay"}}')
     (folder / "thesis" / "dive" / "chapter1.tex").write_text("years of work")
     (folder / "code.toml").write_text(CODE)
+    (folder / "vehicle.toml").write_text("[dvl]\nscale = 1.0\n")
+    (folder / "gates.toml").write_text('[[gate]]\nname = "a gate"\n')
+    (folder / "dives.toml").write_text('[[dive]]\npath = "dive.mcap"\n')
     for line in WRONG:
         said = spoken(folder, *("dive.mcap" if word == "DIVE" else word for word in line.split()))
         yield line or "no command", said

@@ -29,6 +29,7 @@ from mcap.opcode import Opcode
 from zlib_ng import zlib_ng
 
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.extras import install_hint
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE, MAGIC, log_channels, walk
 
@@ -178,7 +179,7 @@ def _file_system(url: str) -> tuple[Any, str]:
         with _refused(url):
             system, path = fsspec.core.url_to_fs(url, skip_instance_cache=True, **options)
     except ImportError as error:
-        raise ConfigError(f"{url}: {error}", "pip install 'insdvl-replay[remote]'") from error
+        raise ConfigError(f"{url}: {error}", install_hint("remote")) from error
     return system, path
 
 

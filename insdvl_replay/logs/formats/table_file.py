@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
+from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.array_files import (
     MOST_COLUMNS,
@@ -170,7 +171,7 @@ class TableFile(LogFile):
             hint = "save each of its sheets as CSV, with a point in decimal numbers"
             raise UnusableFileError("is a spreadsheet", hint, self.path) from error
         except ImportError as error:
-            hint = "pip install 'insdvl-replay[tables]'"
+            hint = install_hint("tables")
             raise LogError(f"needs the package {error.name or 'pyarrow'} to be read", hint, self.path) from error
         except Exception as error:  # whatever a library makes of a damaged file
             raise self._unreadable(error) from error
