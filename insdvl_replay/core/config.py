@@ -45,10 +45,14 @@ class Imu(Section, frozen=True):
     specific_force: FieldPath = None
     angular_rate: FieldPath = None
     specific_force_unit: Annotated[
-        Literal["m/s2", "g", "mg"] | None, Comment("m/s2 | g | mg; left out: by type, else m/s2")
+        Literal["m/s2", "g", "mg", "ug", "cm/s2", "mm/s2", "ft/s2"] | None,
+        Comment("m/s2 | g | mg | ug | cm/s2 | mm/s2 | ft/s2; left out: by type or title, else m/s2"),
     ] = None
     angular_rate_unit: Annotated[
-        Literal["rad/s", "deg/s"] | None, Comment("rad/s | deg/s; left out: by type, else rad/s")
+        Literal["rad/s", "deg/s", "mrad/s", "mdeg/s", "deg/min", "deg/h", "rad/h", "rpm"] | None,
+        Comment(
+            "rad/s | deg/s | mrad/s | mdeg/s | deg/min | deg/h | rad/h | rpm; left out: by type or title, else rad/s"
+        ),
     ] = None
     specific_force_scale: Annotated[
         Positive, Comment("measured over true specific force; readings are divided by it")
@@ -82,7 +86,8 @@ class Dvl(Section, frozen=True):
     velocity: FieldPath = None
     valid: Annotated[str | None, Comment("field path, 0 where a ping is invalid; left out: by type")] = None
     velocity_unit: Annotated[
-        Literal["m/s", "mm/s", "cm/s"] | None, Comment("m/s | mm/s | cm/s; left out: by type, else m/s")
+        Literal["m/s", "mm/s", "cm/s", "km/h", "kn", "ft/s", "in/s", "m/min"] | None,
+        Comment("m/s | mm/s | cm/s | km/h | kn | ft/s | in/s | m/min; left out: by type or title, else m/s"),
     ] = None
     axes: Annotated[str | None, Comment(AXES)] = None
     stamp: Stamp = None
@@ -119,7 +124,8 @@ class Depth(Section, frozen=True):
     height: Annotated[str | None, Comment("field path, m, positive upwards; left out: by type")] = None
     pressure: FieldPath = None
     pressure_unit: Annotated[
-        Literal["Pa", "hPa", "kPa", "dbar", "bar"] | None, Comment("Pa | hPa | kPa | dbar | bar; left out: Pa")
+        Literal["Pa", "hPa", "kPa", "dbar", "bar", "mbar", "MPa", "psi"] | None,
+        Comment("Pa | hPa | kPa | dbar | bar | mbar | MPa | psi; left out: by title, else Pa"),
     ] = None
     density_kgpm3: Annotated[Positive, Comment("of the water, to convert pressure")] = 1025.0
     surface_height_m: Annotated[
@@ -139,7 +145,9 @@ class Heading(Section, frozen=True):
     heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
     roll: Annotated[str | None, Comment("field path, starboard side down, for the start; left out: by type")] = None
     pitch: Annotated[str | None, Comment("field path, bow up, for the start; left out: by type")] = None
-    angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of heading, roll and pitch")] = "deg"
+    angle_unit: Annotated[
+        Literal["deg", "rad"] | None, Comment("deg | rad: of heading, roll and pitch; left out: by title, else deg")
+    ] = None
     axes: Annotated[
         Literal["ned_frd", "enu_flu"] | None, Comment("ned_frd | enu_flu, of a quaternion; left out: enu_flu")
     ] = None
@@ -164,7 +172,9 @@ class Position(Section, frozen=True):
     latitude: FieldPath = None
     longitude: FieldPath = None
     height: Annotated[str | None, Comment("field path, m above the ellipsoid; left out: by type")] = None
-    angle_unit: Annotated[Literal["deg", "rad"], Comment("deg | rad: of latitude and longitude")] = "deg"
+    angle_unit: Annotated[
+        Literal["deg", "rad"] | None, Comment("deg | rad: of latitude and longitude; left out: by title, else deg")
+    ] = None
     lever_arm_m: Annotated[Vector, Comment("IMU to the antenna, forward-starboard-down")] = (0.0, 0.0, 0.0)
     sd_m: Annotated[Positive, Comment("noise of one fix, north and east")] = 2.0
     height_sd_m: Annotated[Positive | None, Comment("noise of its height; left out: the height is not used")] = None
@@ -192,8 +202,9 @@ class Navigation(Section, frozen=True):
     pitch: Annotated[str | None, Comment("field path, bow up; left out: by type")] = None
     heading: Annotated[str | None, Comment("field path, from north over east; left out: by type")] = None
     angle_unit: Annotated[
-        Literal["deg", "rad"], Comment("deg | rad: of latitude, longitude, roll, pitch and heading")
-    ] = "deg"
+        Literal["deg", "rad"] | None,
+        Comment("deg | rad: of latitude, longitude, roll, pitch and heading; left out: by title, else deg"),
+    ] = None
     lever_arm_m: Annotated[Vector, Comment("IMU to the point of the solution, forward-starboard-down")] = (
         0.0,
         0.0,

@@ -13,9 +13,6 @@ MRAD: Final = 1e-3  # rad
 MG: Final = 9.80665e-3  # m/s^2, a thousandth of standard gravity
 STANDARD_GRAVITY_MPS2: Final = 9.80665
 DEG_PER_HOUR: Final = DEG / 3600.0  # rad/s
-SPECIFIC_FORCE_UNITS: Final = {"m/s2": 1.0, "g": 1000.0 * MG, "mg": MG}  # m/s^2
-ANGULAR_RATE_UNITS: Final = {"rad/s": 1.0, "deg/s": DEG}  # rad/s
-VELOCITY_UNITS: Final = {"m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2}  # m/s
 
 # What no vehicle with a DVL exceeds.
 LARGEST_FORCE_MPS2: Final = 500.0  # 50 g

@@ -19,7 +19,8 @@ from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, seconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError
-from insdvl_replay.core.states import GRAVITY_MPS2, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.states import GRAVITY_MPS2
+from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE
 from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.inventory import Blocker, PingFacts, ReferenceFacts
 from insdvl_replay.logs.columns.imu import decode_imu
@@ -310,7 +311,7 @@ class FieldMatch:
     @property
     def force_unit(self) -> str:
         """The unit in which the vector has the size of gravity; empty if in none."""
-        units = () if self.is_beams else fitting_units(self.size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
+        units = () if self.is_beams else fitting_units(self.size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
         return units[0] if units else ""
 
     def __str__(self) -> str:

@@ -28,10 +28,14 @@ from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed, visible
 from insdvl_replay.core.states import (
-    ANGULAR_RATE_UNITS,
     BY_SENSOR,
     SENSORS,
+)
+from insdvl_replay.core.units import (
+    ANGULAR_RATE_UNITS,
+    SPECIFIC_FORCE_BY_SIZE,
     SPECIFIC_FORCE_UNITS,
+    VELOCITY_BY_SIZE,
     VELOCITY_UNITS,
 )
 from insdvl_replay.core.words import Severity
@@ -262,8 +266,10 @@ def _imu_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
     yield _fields("imu.specific_force", forces)
     if force.force_unit:
         yield Setting("imu.specific_force_unit", force.force_unit, "gravity has this size in this unit")
+    elif (unit := topic.stated_unit(force.path)) in SPECIFIC_FORCE_UNITS:
+        yield Setting("imu.specific_force_unit", unit, _STATED)
     else:
-        text = f"{', '.join(SPECIFIC_FORCE_UNITS)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
+        text = f"{', '.join(SPECIFIC_FORCE_BY_SIZE)}; gravity is 9.81, 1 or 1000, but the size is {force.size:.3g}"
         yield Setting("imu.specific_force_unit", "m/s2", open=text)
     yield _fields("imu.angular_rate", rates, "" if is_named else "no field is named as an angular rate; check this one")
     if (unit := topic.stated_unit(rates[0].path)) in ANGULAR_RATE_UNITS:
@@ -276,7 +282,7 @@ def _measured_units(imu: ImuColumns, settings: Imu) -> Iterator[Setting]:
     """Propose units by the size of gravity, and by how fast a vehicle can turn."""
     read_in = settings.specific_force_unit or "m/s2"
     size = float(np.median(np.linalg.norm(imu.specific_force_b, axis=1))) / SPECIFIC_FORCE_UNITS[read_in]
-    units = fitting_units(size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
+    units = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
     if units and read_in not in units:
         yield Setting("imu.specific_force_unit", units[0], f"the size is {size:.3g}, which is gravity in this unit")
     if settings.angular_rate_unit is not None:
@@ -334,14 +340,16 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
         if (stated := topic.stated_unit(velocity.path)) in VELOCITY_UNITS:
             yield Setting("dvl.velocity_unit", stated, _STATED)
             continue
-        units = fitting_units(velocity.size, VELOCITY_UNITS, _SLOWEST_MPS, _QUICKEST_MPS)
+        units = fitting_units(velocity.size, VELOCITY_BY_SIZE, _SLOWEST_MPS, _QUICKEST_MPS)
         best = units[0] if units else "m/s"
         what = "length of all beams' velocities" if velocity.is_beams else "speed"
         seen = f"in this unit the median {what} is {velocity.size * VELOCITY_UNITS[best]:.3g} m/s"
         if len(units) == 1:
             yield Setting("dvl.velocity_unit", best, f"{seen}; in any other it is not a vehicle's")
         else:
-            yield Setting("dvl.velocity_unit", best, seen, f"the size fits several units: {', '.join(VELOCITY_UNITS)}")
+            yield Setting(
+                "dvl.velocity_unit", best, seen, f"the size fits several units: {', '.join(VELOCITY_BY_SIZE)}"
+            )
     if velocities:
         # What a good ping is named by can only be guessed.
         flagged = {path: median for path, median in topic.scalars.items() if _FLAGS.search(path.lower())}

@@ -15,7 +15,8 @@ from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import LogError, Note, UserError
 from insdvl_replay.core.runtime import track_progress
-from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2, SPECIFIC_FORCE_UNITS, VELOCITY_UNITS
+from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
+from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS, VELOCITY_BY_SIZE, VELOCITY_UNITS
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
@@ -124,9 +125,11 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     size = speed_mps / VELOCITY_UNITS[read_in]
     speeds_mps = np.zeros(0) if reference is None else np.linalg.norm(reference.velocity_n, axis=1)
     known_mps = float(np.median(speeds_mps[np.isfinite(speeds_mps)])) if np.isfinite(speeds_mps).any() else 0.0
-    fitting = fitting_units(size, VELOCITY_UNITS, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
+    if known_mps / SAME_SPEED < speed_mps < known_mps * SAME_SPEED:
+        return read_in
+    fitting = fitting_units(size, VELOCITY_BY_SIZE, known_mps / SAME_SPEED, known_mps * SAME_SPEED)
     if not fitting and speed_mps > FASTEST_MPS:
-        fitting = fitting_units(size, VELOCITY_UNITS, *SPEEDS_MPS)
+        fitting = fitting_units(size, VELOCITY_BY_SIZE, *SPEEDS_MPS)
     return fitting[0] if fitting else read_in
 
 
@@ -225,12 +228,12 @@ def _imu_topics(
         turning = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else np.nan
         values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
         unit = known.specific_force_unit or "m/s2"
-        fitting = fitting_units(size, SPECIFIC_FORCE_UNITS, *AS_GRAVITY_MPS2)
+        fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
         if fitting and unit not in fitting:
             values["specific_force_unit"] = fitting[0]
         elif not fitting and size > 0.0:
             near = min(
-                (unit, *SPECIFIC_FORCE_UNITS),
+                (unit, *SPECIFIC_FORCE_BY_SIZE),
                 key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
             )
             ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2

@@ -13,7 +13,8 @@ import numpy as np
 from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
-from insdvl_replay.core.states import FASTEST_MPS, VELOCITY_UNITS
+from insdvl_replay.core.states import FASTEST_MPS
+from insdvl_replay.core.units import VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry import frames
 from insdvl_replay.geometry.rotation import mat_from_quat

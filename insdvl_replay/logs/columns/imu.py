@@ -12,7 +12,8 @@ import numpy as np
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.states import ANGULAR_RATE_UNITS, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS, SPECIFIC_FORCE_UNITS
+from insdvl_replay.core.states import LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS
+from insdvl_replay.core.units import ANGULAR_RATE_UNITS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_gaps, note_lost_samples
 from insdvl_replay.logs.columns.tables import Mask, Table

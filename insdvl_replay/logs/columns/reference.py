@@ -29,6 +29,7 @@ from insdvl_replay.core.dive_columns import (
 )
 from insdvl_replay.core.errors import LogError, Note, counted_clause, read_regular
 from insdvl_replay.core.states import DEG, DV, PHI
+from insdvl_replay.core.units import ANGLE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
@@ -37,7 +38,6 @@ from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_lost_samples
 from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 
-ANGLE_UNITS: Final = {"deg": DEG, "rad": 1.0}
 _NED, _BODY, _OLD_NED = 1, 3, 0  # PX4's frames, and that of the messages before 1.13
 _NORTHS: Final = (("pose_frame", _NED), ("local_frame", _OLD_NED))  # which frame of a pose is north-east-down
 SIZE: Final = 9  # velocity error, misalignment and position error
@@ -109,7 +109,7 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
 
 def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
     if "latitude" in table:
-        unit = ANGLE_UNITS[settings.angle_unit]
+        unit = ANGLE_UNITS[settings.angle_unit or "deg"]
         latitude, longitude = of_receiver(table, "latitude") * unit, of_receiver(table, "longitude") * unit
         height_m = np.full(len(table), np.nan)
         if "depth" in table:
@@ -181,7 +181,7 @@ def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
         raise LogError(text, f'{role}.heading = "field.path", or leave both out', *table.where)
     pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
     rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
-    return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit])
+    return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit or "deg"])
 
 
 def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:

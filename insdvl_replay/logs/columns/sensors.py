@@ -9,12 +9,11 @@ from insdvl_replay.core.config import Config, Depth, Heading, Position
 from insdvl_replay.core.dive_columns import Floats, SensorColumns
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BY_SENSOR, DEG, STANDARD_GRAVITY_MPS2
+from insdvl_replay.core.units import ANGLE_UNITS, PRESSURE_UNITS
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.logs.columns.clean import Cleaner
-from insdvl_replay.logs.columns.reference import ANGLE_UNITS, attitude, is_by_quaternion, of_receiver
+from insdvl_replay.logs.columns.reference import attitude, is_by_quaternion, of_receiver
 from insdvl_replay.logs.columns.tables import Table
-
-PRESSURE_UNITS: Final = {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "dbar": 1e4, "bar": 1e5}
 
 Readings = tuple[Floats, Floats | None]
 """Values, (k, s), the first NaN where there is no reading; attitudes that they are part of, (k, 3, 3)."""
@@ -60,7 +59,7 @@ def _heading(table: Table, settings: Heading) -> Readings:
     """Return the true heading, (k, 1), and the attitude that it is part of; NaN where a message has none."""
     declination, turned = settings.declination_deg * DEG, any(settings.mounting_rpy_deg)
     heading_alone = settings.heading is not None and settings.quaternion is None and settings.roll is None
-    if not heading_alone and settings.angle_unit != "deg" and is_by_quaternion(table, settings):
+    if not heading_alone and settings.angle_unit not in (None, "deg") and is_by_quaternion(table, settings):
         raise ConfigError(
             "heading.angle_unit is set, but the messages have a quaternion",
             "leave heading.angle_unit out; to read an angle: heading.heading",
@@ -72,7 +71,7 @@ def _heading(table: Table, settings: Heading) -> Readings:
                 "heading.mounting_rpy_deg needs an attitude, but the messages have a heading only",
                 "to correct a heading: heading.declination_deg",
             )
-        heading = table.column("heading") * ANGLE_UNITS[settings.angle_unit]
+        heading = table.column("heading") * ANGLE_UNITS[settings.angle_unit or "deg"]
         return np.asarray((heading + declination)[:, None]), None
     if turned:
         mat = np.asarray(mat @ mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG).T)
@@ -91,14 +90,14 @@ def _position(table: Table, settings: Position) -> Readings:
 
     A fix without height is dropped if heights are used. Otherwise its height is NaN.
     """
-    unit = ANGLE_UNITS[settings.angle_unit]
+    unit = ANGLE_UNITS[settings.angle_unit or "deg"]
     latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
     polar = np.abs(latitude) > 0.5 * np.pi
     count, known = int(polar.sum()), int(np.isfinite(latitude).sum())
     if 2 * count > known:
         furthest = latitude[np.nanargmax(np.abs(latitude))] / unit
         raise LogError(
-            f"{count} of {known} latitudes are beyond the poles, up to {furthest:.6g} {settings.angle_unit}",
+            f"{count} of {known} latitudes are beyond the poles, up to {furthest:.6g} {settings.angle_unit or 'deg'}",
             'position.angle_unit = "deg" or "rad"; to read another field: position.latitude = "field.path"',
             *table.where,
         )

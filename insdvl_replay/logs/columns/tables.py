@@ -21,13 +21,13 @@ from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs, distinct, find_runs, nanoseconds, seconds
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, error_context, listed
+from insdvl_replay.core.units import TIME_UNITS_NS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.columns.topics import Source, code_of
 from insdvl_replay.logs.formats.fields import (
     ROW,
     ROWS,
     TABLE,
-    TIME_UNITS_NS,
     Columns,
     FieldReader,
     Kinds,
@@ -84,7 +84,7 @@ class Table:
     def values(self, quantity: str, width: int | None = None) -> Floats:
         """Return the numbers of a quantity, shape (k, width); a LogError where there are more or fewer."""
         path = self.source.fields[quantity]
-        parts = [self.columns[part].astype(np.float64, copy=False) for part in split_paths(path)]
+        parts = [self._numbers(part) for part in split_paths(path)]
         values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
         if width is not None and values.shape[1] != width:
             raise LogError(
@@ -93,6 +93,12 @@ class Table:
                 *self.where,
             )
         return values
+
+    def _numbers(self, path: str) -> Floats:
+        """Return the numbers at a path, (k, n), in the usual unit where the title of a column has another."""
+        numbers = self.columns[path].astype(np.float64, copy=False)
+        factor = self.source.factors.get(path, 1.0)
+        return numbers if factor == 1.0 else numbers * factor
 
     def column(self, quantity: str) -> Floats:
         """Return a quantity that must be one number in each message, shape (k,)."""

@@ -15,8 +15,17 @@ import msgspec
 from insdvl_replay.core.config import TOPIC_KEYS, key_of
 from insdvl_replay.core.errors import LogError, error_context, listed, nearest
 from insdvl_replay.core.states import SENSORS
+from insdvl_replay.core.units import UNITS_BY_KIND, USUAL_UNITS, unit_at_end
 from insdvl_replay.logs.formats.definitions import full_name
-from insdvl_replay.logs.formats.fields import TABLE, Element, channel_paths, check_encoding, find_path, split_paths
+from insdvl_replay.logs.formats.fields import (
+    TABLE,
+    Element,
+    channel_paths,
+    check_encoding,
+    column_of,
+    find_path,
+    split_paths,
+)
 from insdvl_replay.logs.formats.log_file import LogChannel, by_topic
 
 
@@ -98,6 +107,20 @@ NEEDS: Final = {
     **_BY_SENSOR,
 }
 
+# Of quantities with a unit: its kind, and the key of the role's settings that names it, if there is one.
+_KINDS: Final = {
+    "specific_force": ("specific force", "specific_force_unit"),
+    "angular_rate": ("angular rate", "angular_rate_unit"),
+    "velocity": ("velocity", "velocity_unit"),
+    "beam_velocity": ("velocity", "velocity_unit"),
+    "velocity_n": ("velocity", ""),
+    "velocity_b": ("velocity", ""),
+    "pressure": ("pressure", "pressure_unit"),
+    "depth": ("length", ""),
+    "height": ("length", ""),
+    **dict.fromkeys(("latitude", "longitude", "roll", "pitch", "heading"), ("angle", "angle_unit")),
+}
+
 LOG_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
 PROPOSED: Final = ("imu", "dvl", "reference")  # roles for which `inspect` proposes topics and fields of unknown types
@@ -138,6 +161,7 @@ class Source:
     latency_s: float  # from validity to stamp
     conventions: Mapping[str, Any] = field(default_factory=dict)  # of the type, where the settings leave a key out
     element: Element | None = None  # which elements of a list in the messages count, each as if it were a message
+    factors: Mapping[str, float] = field(default_factory=dict)  # from the unit in a column's title to the usual one
 
     @property
     def code(self) -> str:
@@ -162,6 +186,7 @@ class TopicRequirement:
     stamp: str | None = None
     latency_s: float = 0.0  # from validity to stamp
     frames: tuple[str, str] | None = None  # parent and child of the transforms that count
+    unit_keys: AbstractSet[str] = frozenset()  # keys of units that the settings have
 
     @property
     def by_type(self) -> list[Types]:
@@ -209,9 +234,41 @@ class TopicRequirement:
         elif self.frames is not None:
             text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
             raise LogError(text, f"remove {self.role}.frames")
+        factors = self._factors(channels[0], fields) if channels[0].encoding == TABLE else {}
         return Source(
-            self.role, topic, type_name, tuple(channels), fields, stamp, self.latency_s, known.conventions, element
+            role=self.role,
+            topic=topic,
+            type_name=type_name,
+            channels=tuple(channels),
+            fields=fields,
+            stamp=stamp,
+            latency_s=self.latency_s,
+            conventions=known.conventions,
+            element=element,
+            factors=factors,
         )
+
+    def _factors(self, channel: LogChannel, fields: Mapping[str, str]) -> dict[str, float]:
+        """Return factors of columns whose titles have another unit than the usual; what the settings say counts more.
+
+        A unit in brackets that is not known is a LogError; at the end of a name it may be part of the name.
+        """
+        factors: dict[str, float] = {}
+        for quantity, joined in fields.items():
+            kind, key = _KINDS.get(quantity, ("", ""))
+            if not kind or key in self.unit_keys:
+                continue
+            units, usual = UNITS_BY_KIND[kind], USUAL_UNITS[kind]
+            for path in split_paths(joined):
+                column = column_of(channel, path)
+                unit = channel.metadata.get(column, usual)
+                if unit in units:
+                    factors[path] = units[unit] / units[usual]
+                elif unit != unit_at_end(column):
+                    text = f"column '{column}' of {channel.topic} is in '{unit}', which is no known unit of {kind}"
+                    or_set = f", or set {self.role}.{key}" if key else ""
+                    raise LogError(text, f"known are {', '.join(units)}: convert the column{or_set}")
+        return {path: factor for path, factor in factors.items() if factor != 1.0}
 
     def how_to_name(self) -> str:
         """State which keys lead to a topic of an unknown type."""
@@ -235,6 +292,7 @@ def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> 
         stamp=section.stamp,
         latency_s=section.latency_s,
         frames=getattr(section, "frames", None) if key == "topic" else None,
+        unit_keys={name for _, name in _KINDS.values() if name and getattr(section, name, None) is not None},
     )
 
 

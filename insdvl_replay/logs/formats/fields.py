@@ -38,7 +38,6 @@ Kinds = Mapping[str, str]  # every path that a type knows, with the type of what
 ROWS: Final = ""  # key of the messages' numbers in columns, where a message may give several rows, or none
 TABLE: Final = "table"  # encoding of the rows of a table
 ROW: Final = "row number"  # path of the number of a row in its table, from 0
-TIME_UNITS_NS: Final = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 NUMBER: Final = "number"  # kinds of what is decoded message by message
 TEXT: Final = "text"
 TEXTS: Final = (TEXT, "string", "wstring")
@@ -125,6 +124,13 @@ def check_encoding(channel: LogChannel) -> None:
 def channel_paths(channel: LogChannel) -> Kinds:
     """Return every field path that the schema of a readable channel knows; empty where only the messages tell."""
     return open_reader(channel, ()).known
+
+
+def column_of(channel: LogChannel, path: str) -> str:
+    """Return the name of a column of a table by a path: its name, title or number."""
+    from insdvl_replay.logs.formats.table_file import RowReader
+
+    return RowReader(channel, [path]).names[path]
 
 
 def open_reader(channel: LogChannel, paths: Sequence[str], element: Element | None = None) -> FieldReader:

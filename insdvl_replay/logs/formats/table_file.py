@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
 from insdvl_replay.core.errors import LogError, Note, counted, counted_clause, listed
 from insdvl_replay.core.extras import install_hint
+from insdvl_replay.core.units import TIME_UNITS_NS, spelled, title_without_unit, unit_of
 from insdvl_replay.core.words import Severity
 from insdvl_replay.logs.formats.array_files import (
     MOST_COLUMNS,
@@ -30,16 +31,9 @@ from insdvl_replay.logs.formats.array_files import (
     read_numpy,
     require_room,
 )
-from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, TIME_UNITS_NS, Columns, Kinds, check_path
+from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError
 
-_UNIT: Final = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-_UNIT_WORDS: Final = {
-    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
-    "µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "m/s^2": "m/s2", "m/s²": "m/s2",
-    "m/s/s": "m/s2", "degrees": "deg", "°": "deg", "°/s": "deg/s", "deg/sec": "deg/s", "radians": "rad",
-    "rad/sec": "rad/s",
-}  # fmt: skip
 _TIME: Final = re.compile(r"(^|[_.])(time|times|timestamp|stamp|t|utc|epoch|clock|tow)([_.]?(s|sec|ms|us|ns))?$")
 _ENDS_WITH_UNIT: Final = re.compile(r"_(s|sec|ms|us|ns|nsec|usec|msec)$")
 _SEPARATORS: Final = (b"\t", b";", b"|", b",")  # in text with several of them the first one separates
@@ -68,14 +62,7 @@ class _Table:
 
 def clean_name(title: str) -> str:
     """Return the name by which a column is known."""
-    return re.sub(r"[^\w.]+", "_", _UNIT.sub("", title).strip().lower()).strip("_.")
-
-
-def unit_of(title: str) -> str:
-    """Return the unit that the title of a column has in brackets; empty without one."""
-    found = _UNIT.search(title)
-    unit = found[1].strip() if found else ""
-    return _UNIT_WORDS.get(unit.lower(), unit)
+    return re.sub(r"[^\w.]+", "_", title_without_unit(title).lower()).strip("_.")
 
 
 class TableFile(LogFile):
@@ -356,7 +343,7 @@ class TableFile(LogFile):
                 continue
             known = np.isfinite(values)
             ending = _ENDS_WITH_UNIT.search(name)
-            unit = table.units.get(name) or (ending and _UNIT_WORDS.get(ending[1], ending[1])) or ""
+            unit = table.units.get(name) or (ending and spelled(ending[1])) or ""
             if table.units.get(name) and unit not in TIME_UNITS_NS:
                 hint = f"its unit may be {', '.join(TIME_UNITS_NS)}"
                 raise LogError(f"the times '{name}' are in {unit}, which is no unit that is known", hint, self.path)
@@ -474,6 +461,7 @@ class RowReader:
             self._size += width
         self.known: Kinds = known
         self._places: dict[str, list[int]] = {}
+        self.names: dict[str, str] = {}  # of the columns, by path
         for path in paths:
             name = list(widths)[int(path) - 1] if path.isdecimal() and 0 < int(path) <= len(widths) else path
             if name not in places:  # it may be the title of a column, with its unit
@@ -483,6 +471,7 @@ class RowReader:
                 check_path(name, known, channel.topic)
                 raise LogError(f"{channel.topic} has no '{path}'", f"'{name}' is behind the last number of its list")
             self._places[path] = places[name]
+            self.names[path] = name.partition("[")[0]
 
     def columns(self, block: Block) -> Columns:
         """Return the columns of all rows of a block, (k, n)."""
