@@ -85,6 +85,7 @@ class Dvl(Section, frozen=True):
     beam_valid: Annotated[str | None, Comment("field path, 0 where a beam is lost; left out: by type")] = None
     velocity: FieldPath = None
     valid: Annotated[str | None, Comment("field path, 0 where a ping is invalid; left out: by type")] = None
+    invalid: Annotated[str | None, Comment("field path, not 0 where a ping is invalid; left out: none")] = None
     velocity_unit: Annotated[
         Literal["m/s", "mm/s", "cm/s", "km/h", "kn", "ft/s", "in/s", "m/min"] | None,
         Comment("m/s | mm/s | cm/s | km/h | kn | ft/s | in/s | m/min; left out: by type or title, else m/s"),

@@ -49,6 +49,8 @@ from insdvl_replay.inspection.dry_run import (
     time_paths,
 )
 from insdvl_replay.inspection.inventory import Blocker
+from insdvl_replay.inspection.ping_flags import flag_senses
+from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.columns.reference import decode_reference
 from insdvl_replay.logs.columns.tables import (
     LARGEST_JITTER_S,
@@ -320,6 +322,22 @@ _FLAGS: Final = re.compile(r"valid|lock|good")
 _SLOWEST_MPS, _QUICKEST_MPS = 0.1, 5.0  # speeds over ground of a vehicle under way
 
 
+def _flag_settings(log: Recording, topic: ProbedTopic, velocity: str) -> Iterator[Setting]:
+    """Propose the flags of valid or invalid pings."""
+    names = flag_columns(topic.scalars).names
+    likely = [path for path in topic.scalars if _FLAGS.search(path.lower()) and path not in names]
+    senses = flag_senses(log, topic, velocity, names) if names else {}
+    for key in ("valid", "invalid"):
+        chosen = {name: why for name, (sense, why) in senses.items() if sense == key}
+        if chosen:
+            why = "; ".join(f"'{name}' {text}" for name, text in chosen.items())
+            yield Setting(f"dvl.{key}", ", ".join(chosen), why)
+    open_names = [*(name for name, (sense, _) in senses.items() if not sense), *likely]
+    if open_names and not any(sense for sense, _ in senses.values()):
+        flags = " or ".join(f'"{name}" (median {topic.scalars[name]:g})' for name in open_names)
+        yield Setting("dvl.valid", None, open=f"is {flags} 0 for an invalid ping? If 0 is valid: dvl.invalid")
+
+
 def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Setting]:
     """Propose a topic with a velocity, best with a name that is a DVL's."""
     named = [topic for topic in topics if _DVL_WORDS.search(f"{topic.topic} {topic.channel.type_name}".lower())]
@@ -351,11 +369,7 @@ def _dvl_settings(log: Recording, topics: Sequence[ProbedTopic]) -> Iterator[Set
                 "dvl.velocity_unit", best, seen, f"the size fits several units: {', '.join(VELOCITY_BY_SIZE)}"
             )
     if velocities:
-        # What a good ping is named by can only be guessed.
-        flagged = {path: median for path, median in topic.scalars.items() if _FLAGS.search(path.lower())}
-        flags = " or ".join(f'"{path}" (median {median:g})' for path, median in flagged.items())
-        if flags:
-            yield Setting("dvl.valid", None, open=f"is {flags} 0 for an invalid ping?")
+        yield from _flag_settings(log, topic, velocities[0].path)
     if beams and velocities:
         # Until a person knows where the beams point, the velocity is the safer source.
         lines = ['kind = "beams"', *(f'beam_velocity = "{beam.path}"  # {beam}' for beam in beams)]

@@ -162,11 +162,11 @@ def test_forces_alone_are_no_imu(tmp_path: Path) -> None:
     assert not re.search(r"(?m)^topic", configuration)
 
 
-def test_flags_of_good_pings_are_asked_for(straight: Dive, tmp_path: Path) -> None:
+def test_flags_of_good_pings_are_proposed_by_name(straight: Dive, tmp_path: Path) -> None:
     log = tmp_path / "unknown.mcap"
     unknown_logs.nested_cdr(log, straight)
     inventory = inspect_log(log, load_config())
-    assert re.search(r'# decide: .*"lock" \(median 1\).*\n# valid =', inventory.configuration)
+    assert re.search(r"# 'lock' is named so and marks 0 of \d+ pings\nvalid = \"lock\"", inventory.configuration)
 
 
 @pytest.mark.parametrize(

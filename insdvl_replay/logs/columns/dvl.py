@@ -12,7 +12,7 @@ import numpy as np
 
 from insdvl_replay.core.config import Dvl
 from insdvl_replay.core.dive_columns import DvlColumns, Floats, find_runs, seconds
-from insdvl_replay.core.errors import ConfigError, LogError, Note
+from insdvl_replay.core.errors import ConfigError, LogError, Note, listed
 from insdvl_replay.core.states import FASTEST_MPS
 from insdvl_replay.core.units import VELOCITY_UNITS
 from insdvl_replay.core.words import Severity
@@ -26,8 +26,11 @@ from insdvl_replay.logs.columns.beam_directions import (
     azimuths_and_tilts_deg,
 )
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
+from insdvl_replay.logs.columns.flags import flag_columns, marks_some
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.tables import Mask, Table
+from insdvl_replay.logs.columns.topics import UNUSED_FLAGS
+from insdvl_replay.logs.formats.fields import split_paths
 
 Rule = tuple[str, Callable[[Floats], Mask], str, str]
 _MOVING_MPS: Final = 0.05
@@ -54,6 +57,7 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     table = _with_beam_speeds(table, settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
+    _note_unused_flags(table, cleaner)
     for rule in _BOTTOM_TRACK:
         cleaner.keep_where(*rule)
     beams = _beam_velocity(table, cleaner) if "beam_velocity" in table else np.full((len(table), 0), np.nan)
@@ -77,6 +81,26 @@ def decode_dvl(table: Table, settings: Dvl) -> tuple[DvlColumns, list[Note]]:
     if directions is None:
         return _decode_velocities(table, settings, cleaner), cleaner.notes
     return _decode_beams(table, cleaner, beams, has_beams, directions), cleaner.notes
+
+
+def _note_unused_flags(table: Table, cleaner: Cleaner) -> None:
+    """Warn of columns that may mark pings as invalid, and that no setting names."""
+    if UNUSED_FLAGS not in table:
+        return
+    names = split_paths(table.source.fields[UNUSED_FLAGS])
+    found = flag_columns(names)
+    for name, flag in zip(names, table.values(UNUSED_FLAGS).T, strict=True):
+        is_inverse = name in found.invalid
+        count = marks_some(np.where(flag == 0.0, 1.0, 0.0) if is_inverse else flag, is_sure=name not in found.unsure)
+        if not count:
+            continue
+        values, counts = np.unique(flag[np.isfinite(flag)], return_counts=True)
+        often = np.argsort(-counts)[:3]
+        shown = listed(f"{values[i]:g} in {counts[i]}" for i in sorted(often.tolist()))
+        text = f"pings may be marked as invalid by the column '{name}' ({shown} of {len(flag)}), which is not used"
+        key = "invalid" if is_inverse else "valid"
+        other = "" if name not in found.unsure else f', or dvl.invalid = "{name}" if 0 means valid'
+        cleaner.note("unused_flag", text, count, Severity.WARNING, f'dvl.{key} = "{name}"{other}')
 
 
 def _has_directions(settings: Dvl) -> bool:
@@ -131,6 +155,7 @@ _BOTTOM_TRACK: Final[tuple[Rule, ...]] = (
 )
 _VALID: Final[tuple[Rule, ...]] = (
     ("valid", lambda flags: flags > 0.0, "invalid", "pings are marked as invalid"),
+    ("invalid", lambda flags: ~(flags != 0.0), "invalid", "pings are marked as invalid"),
     ("velocity_var", lambda variance: ~(variance < 0.0), "invalid", _NEGATIVE),
     ("nortek_status", lambda status: _are_set(status, (12, 13, 14)), "invalid", _BY_BITS),
 )

@@ -16,6 +16,7 @@ from insdvl_replay.core.config import TOPIC_KEYS, key_of
 from insdvl_replay.core.errors import LogError, error_context, listed, nearest
 from insdvl_replay.core.states import SENSORS
 from insdvl_replay.core.units import UNITS_BY_KIND, USUAL_UNITS, unit_at_end
+from insdvl_replay.logs.columns.flags import flag_columns
 from insdvl_replay.logs.formats.definitions import full_name
 from insdvl_replay.logs.formats.fields import (
     TABLE,
@@ -95,7 +96,7 @@ _BY_SENSOR: Final = {
     )
     for name, sensor in SENSORS.items()
 }
-_DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid")
+_DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid", "invalid")
 NEEDS: Final = {
     "imu": Needs(_IMU, ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
     "dvl": Needs(_DVL, ("dvl_beams", "dvl_velocity"), ["dvl_if_named"], [{"beam_velocity"}, {"velocity"}]),
@@ -121,6 +122,7 @@ _KINDS: Final = {
     **dict.fromkeys(("latitude", "longitude", "roll", "pitch", "heading"), ("angle", "angle_unit")),
 }
 
+UNUSED_FLAGS: Final = "unused_flags"  # columns of a table that may mark pings as invalid, and that no setting names
 LOG_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
 PROPOSED: Final = ("imu", "dvl", "reference")  # roles for which `inspect` proposes topics and fields of unknown types
@@ -234,7 +236,14 @@ class TopicRequirement:
         elif self.frames is not None:
             text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
             raise LogError(text, f"remove {self.role}.frames")
-        factors = self._factors(channels[0], fields) if channels[0].encoding == TABLE else {}
+        factors: Mapping[str, float] = {}
+        if channels[0].encoding == TABLE:
+            factors = self._factors(channels[0], fields)
+            if self.role == "dvl" and not fields.keys() & {"valid", "invalid", "beam_valid"}:
+                used = {path for joined in fields.values() for path in split_paths(joined)}
+                single = [name for name in paths if f"{name}[*]" not in paths]
+                flags = [name for name in flag_columns(single).names if name not in used]
+                fields |= {UNUSED_FLAGS: ", ".join(flags)} if flags else {}
         return Source(
             role=self.role,
             topic=topic,

@@ -39,6 +39,11 @@ _ENDS_WITH_UNIT: Final = re.compile(r"_(s|sec|ms|us|ns|nsec|usec|msec)$")
 _SEPARATORS: Final = (b"\t", b";", b"|", b",")  # in text with several of them the first one separates
 _COMMENTS: Final = (b"#", b"%")
 _DECIMAL_COMMA: Final = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
+# What cells say of a flag; A and V are those of NMEA.
+_FLAG_WORDS: Final = {
+    **dict.fromkeys(("true", "yes", "y", "t", "valid", "ok", "good", "lock", "locked", "on", "a"), 1.0),
+    **dict.fromkeys(("false", "no", "n", "f", "invalid", "bad", "lost", "unlocked", "off", "v"), 0.0),
+}
 _FEW: Final = 0.05  # share of the rows or cells that may be wrong; more of them are another format
 _RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
 _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
@@ -281,6 +286,9 @@ class TableFile(LogFile):
         numbers = pd.to_numeric(series, errors="coerce")
         is_text = (series.notna() & numbers.isna()).to_numpy()
         texts = series[is_text].astype(str)
+        words = texts.str.strip().str.lower().map(_FLAG_WORDS)
+        if len(words) and words.notna().all():
+            return numbers.where(~is_text, words.reindex(series.index)).to_numpy(np.float64)
         if len(texts) and texts.str.fullmatch(_DECIMAL_COMMA.pattern).mean() > 1.0 - _FEW:
             numbers = pd.to_numeric(series.astype(str).str.replace(",", "."), errors="coerce")
             self._commas += len(texts)
