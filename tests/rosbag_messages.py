@@ -14,6 +14,24 @@ from insdvl_replay.logs.formats.definitions import definition_text
 START_NS = 1_700_000_000_000_000_000
 Message = tuple[str, str, float, dict[str, Any]]
 """Topic, type, time in s, and what it holds; what is left out is zero."""
+UUV = "uuv_sensor_ros_plugins_msgs"
+UUV_COPIES = ("stonefish_ros", "stonefish_ros2", "mvp_msgs", "cola2_msgs")
+"""Packages with the same fields, whose definitions do not come with the tool."""
+OF_LOGS_ALONE = {
+    "dvl_driver/msg/DVL": "std_msgs/Header header\nstring time\nfloat32[4] velocity\n",
+    "mil_msgs/msg/VelocityMeasurements": "std_msgs/Header header\nVelocityMeasurement[] velocity_measurements\n"
+    + "=" * 80
+    + "\nMSG: mil_msgs/VelocityMeasurement\ngeometry_msgs/Vector3 direction\nfloat64 velocity\n",
+}
+"""What the reader needs of types whose definitions do not come with the tool."""
+
+
+def text_of(type_name: str) -> str:
+    """Return a type's definition: that of the tool, or where none comes with it, one that only the log has."""
+    package = type_name.partition("/")[0]
+    if package in UUV_COPIES:
+        return definition_text(f"{UUV}/msg/DVL").replace(UUV, package)
+    return OF_LOGS_ALONE.get(type_name) or definition_text(type_name)
 
 
 def store_with(texts: Mapping[str, str]) -> Typestore:
@@ -76,7 +94,7 @@ def write_log(
     """
     messages = list(messages)
     types = {topic: type_name for topic, type_name, _, _ in messages}
-    defined = {name: (texts or {}).get(name) or definition_text(name) for name in types.values()}
+    defined = {name: (texts or {}).get(name) or text_of(name) for name in types.values()}
     store = store_with(defined)
     with path.open("wb") as stream:
         writer = Writer(stream)

@@ -13,11 +13,10 @@ import numpy as np
 import other_bags
 import pytest
 from mcap.writer import Writer
-from rosbag_messages import START_NS, store_with
+from rosbag_messages import START_NS, store_with, text_of
 from rosbags.typesys.store import Typestore
 
 from insdvl_replay.logs.columns.topics import TYPES, KnownType, Types
-from insdvl_replay.logs.formats.definitions import definition_text
 from insdvl_replay.logs.formats.fields import channel_paths, find_path, open_reader, split_paths
 from insdvl_replay.logs.formats.recording import open_recording
 
@@ -94,7 +93,7 @@ def test_numbers_that_rosbags_wrote_are_read(encoding: str, tmp_path: Path) -> N
 
 
 def assert_numbers_are_read(name: str, encoding: str, tmp_path: Path) -> None:
-    text, rng = definition_text(name), np.random.default_rng(zlib.crc32(name.encode()))
+    text, rng = text_of(name), np.random.default_rng(zlib.crc32(name.encode()))
     store = store_with({name: text})
     messages = [made(store, name, rng) for _ in range(MESSAGES)]
     path = tmp_path / "log.mcap"

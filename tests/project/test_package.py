@@ -27,6 +27,7 @@ def test_wheel_holds_types_presets_and_message_definitions(tmp_path: Path) -> No
     wanted |= {f"insdvl_replay/schemas/insdvl_msgs/msg/{path.name}" for path in messages}
     wanted |= {path.relative_to(PROJECT).as_posix() for path in definitions}
     assert wanted <= names
+    assert [name for name in names if name.endswith(".dist-info/licenses/THIRD_PARTY.md")]
     assert not [name for name in names if name.startswith("tests/")]
     (described,) = (name for name in names if name.endswith("/METADATA"))
     text = zipfile.ZipFile(wheel).read(described).decode()
