@@ -18,6 +18,10 @@ DEG_PER_HOUR: Final = DEG / 3600.0  # rad/s
 LARGEST_FORCE_MPS2: Final = 500.0  # 50 g
 LARGEST_RATE_RADPS: Final = 35.0  # 2000 deg/s, the range of the quickest gyros on vehicles
 FASTEST_MPS: Final = 20.0  # over ground
+LOWEST_M: Final = -11_000.0  # the deepest trench, above the ellipsoid
+HIGHEST_M: Final = 9_000.0  # above any lake
+NO_HEIGHT_M: Final = 9_999.0  # with a minus it would be a depth of the sea, but programs write it for none
+LARGEST_ANGLE_RAD: Final = 720.0 * DEG
 GRAVITY_MPS2: Final = 9.81  # near enough to tell a unit by
 
 

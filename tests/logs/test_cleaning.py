@@ -58,12 +58,28 @@ def test_numbers_that_are_expected_may_be_missing_here_and_there(lost: list[int]
     assert noted(cleaner) == [("imu_not_finite", 2, severity)]
 
 
-def test_a_few_impossible_rows_are_dropped_and_many_stay_for_the_unit_to_be_blamed() -> None:
-    few, many = small_cleaner(range(10)), small_cleaner(range(10))
-    few.keep_possible(np.arange(10) != 4, "messages are impossible", "imu.unit")
-    many.keep_possible(np.arange(10) > 4, "messages are impossible", "imu.unit")
-    assert noted(few) == [("imu_impossible", 1, Severity.WARNING)]
-    assert (few.rows.size, many.rows.size, many.notes) == (9, 10, [])
+@pytest.mark.parametrize(
+    ("count", "value", "kept", "said"),
+    [
+        (1, [999.999], 9, "(999.999)"),
+        (5, [30.0, 31.0, 999.0, -40.0, 50.0], 5, "(30 to 999)"),
+        (9, [999.0, -999.0, 88.888], 1, "(88.888 and 999)"),
+        (6, [30.0, 31.0, 999.0], 10, ""),
+    ],
+)
+def test_impossible_rows_are_dropped_unless_most_are_and_differ_so_that_the_unit_is_blamed(
+    count: int, value: list[float], kept: int, said: str
+) -> None:
+    readings = np.resize(value, count)
+    by_row = small_cleaner(range(10))
+    by_row.keep_possible(np.arange(10) >= count, readings, "messages are impossible", "imu.unit")
+    by_reading = small_cleaner(range(10))
+    values = column(*readings, *[1.0] * (10 - count))
+    left = by_reading.without_impossible(values, np.abs(values) > 20.0, "readings are impossible", "imu.unit")
+    assert (by_row.rows.size, np.isfinite(left).sum()) == (kept, kept)
+    for cleaner in (by_row, by_reading):
+        assert noted(cleaner) == ([("imu_impossible", count, Severity.WARNING)] if said else [])
+        assert not said or said in cleaner.notes[0].text
 
 
 def test_of_rows_with_one_time_the_first_stays() -> None:

@@ -5,6 +5,7 @@ There is no such note where stamps jitter, come in bursts or have a changing rat
 """
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,25 @@ from insdvl_replay.logs.columns.tables import (
     repeated_rows,
 )
 
+_MARKS: Final = 2  # different numbers by which one instrument marks that it has no reading
+
 
 def is_few(count: int, size: int) -> bool:
     """Return whether faults are single ones: one, or a small share of all, of which more are wrong in another way."""
     return count <= max(1.0, 0.05 * size)
+
+
+def stand_for_none(impossible: Floats) -> bool:
+    """Return whether readings that cannot be are a number, or two, by which an instrument marks that it has none."""
+    return np.unique(np.abs(impossible)).size <= _MARKS
+
+
+def shown(impossible: Floats) -> str:
+    """Write readings that cannot be by their sizes, the smallest and the largest where they are many different ones."""
+    sizes = np.unique(np.abs(impossible))
+    if sizes.size <= _MARKS:
+        return " and ".join(f"{size:g}" for size in sizes)
+    return f"{sizes[0]:g} to {sizes[-1]:g}"
 
 
 def same_rows(rows: Floats, others: Floats) -> Mask:
@@ -104,10 +120,26 @@ class Cleaner:
         single = not np.any(lost[1:] & lost[:-1])
         self.keep(finite, "not_finite", reason, Severity.WARNING if hint and not single else Severity.INFO, hint)
 
-    def keep_possible(self, possible: Mask, reason: str, hint: str) -> None:
-        """Drop impossible rows if they are few; many mean a wrong unit."""
-        if is_few(int(np.count_nonzero(~possible)), possible.size):
-            self.keep(possible, "impossible", reason, Severity.WARNING, hint)
+    def keep_possible(self, possible: Mask, impossible: Floats, reason: str, hint: str) -> None:
+        """Drop rows with impossible readings, shape (m,), unless these mean a wrong unit."""
+        if not self._are_of_another_unit(~possible[self.rows], impossible):
+            self.keep(possible, "impossible", f"{reason} ({shown(impossible)})", Severity.WARNING, hint)
+
+    def without_impossible(self, values: Floats, is_impossible: Mask, reason: str, hint: str) -> Floats:
+        """Return values, (k, n), NaN where they cannot be, unless these mean a wrong unit."""
+        impossible = values[is_impossible]
+        rows: Mask = np.asarray(is_impossible.any(axis=1))
+        has_any: Mask = np.asarray(~np.isnan(values).all(axis=1))
+        if not impossible.size or self._are_of_another_unit(rows[has_any], impossible):
+            return values
+        text = f"{reason} ({shown(impossible)}) and count as missing"
+        self.note("impossible", text, impossible.size, Severity.WARNING, hint, first=np.flatnonzero(rows))
+        return np.where(is_impossible, np.nan, values)
+
+    @staticmethod
+    def _are_of_another_unit(rows: Mask, impossible: Floats) -> bool:
+        """Return whether most rows have impossible readings, and different ones: then the checks blame the unit."""
+        return 2 * int(np.count_nonzero(rows)) > rows.size and not stand_for_none(impossible)
 
     def require_rows(self) -> None:
         """Refuse a role of which nothing stays."""

@@ -25,7 +25,7 @@ from insdvl_replay.logs.columns.beam_directions import (
     agreeing_directions,
     azimuths_and_tilts_deg,
 )
-from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_lost_samples, same_rows
+from insdvl_replay.logs.columns.clean import Cleaner, note_bursts, note_lost_samples, same_rows, stand_for_none
 from insdvl_replay.logs.columns.flags import flag_columns, marks_some
 from insdvl_replay.logs.columns.imu import FRD, in_frd
 from insdvl_replay.logs.columns.tables import Mask, Table
@@ -219,15 +219,11 @@ def _are_lost(table: Table, velocity: Floats) -> Mask:
 
 
 def _without_impossible(values_mps: Floats, cleaner: Cleaner) -> Floats:
-    """Drop impossible readings if they are few; many mean a wrong unit."""
-    impossible = np.abs(values_mps) > FASTEST_MPS
-    count = int(np.count_nonzero(impossible))
-    if not count or not is_few(count, impossible.size):
-        return values_mps
-    text = f"readings are above {FASTEST_MPS:g} m/s and count as missing"
-    rows = np.flatnonzero(impossible.any(axis=1))
-    cleaner.note("impossible", text, count, Severity.WARNING, _VALID_HINT, first=rows)
-    return np.where(impossible, np.nan, values_mps)
+    """Drop what no vehicle reaches, however often; most pings with different such velocities mean a wrong unit."""
+    is_impossible = np.abs(values_mps) > FASTEST_MPS
+    is_mark = stand_for_none(values_mps[is_impossible])
+    hint = _VALID_HINT if is_mark else "check dvl.velocity_unit, and whether the DVL had bottom lock"
+    return cleaner.without_impossible(values_mps, is_impossible, f"readings are above {FASTEST_MPS:g} m/s", hint)
 
 
 def _drop_repeats(cleaner: Cleaner, values: Floats) -> None:

@@ -62,8 +62,7 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     possible[dead] &= specific_force_b[dead].any(axis=1) | angular_rate_b[dead].any(axis=1)
     if not possible.all():
         cleaner.keep_finite(specific_force_b, angular_rate_b, hint=_LOST_HINT)
-        reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
-        cleaner.keep_possible(possible, reason, _LOST_HINT)
+        _drop_impossible(cleaner, possible, specific_force_b, angular_rate_b)
     cleaner.drop_repeated_times(specific_force_b, angular_rate_b)
     cleaner.require_rows()
     _drop_spikes(cleaner, specific_force_b, angular_rate_b)
@@ -87,6 +86,20 @@ def measured_vectors(table: Table, quantity: str, short: str) -> Floats:
         return values
     unmeasured = table.column(f"{quantity}_var") < 0.0
     return np.where(unmeasured[:, None], np.nan, values) if unmeasured.any() else values
+
+
+def _drop_impossible(cleaner: Cleaner, possible: Mask, specific_force_b: Floats, angular_rate_b: Floats) -> None:
+    """Drop samples that no IMU on a vehicle reads, unless it reads nothing else."""
+    rows = cleaner.rows[~possible[cleaner.rows]]
+    if not 0 < rows.size < cleaner.rows.size:
+        return
+    force = specific_force_b[rows]
+    rate = angular_rate_b[rows]
+    beyond = [force[np.abs(force) > LARGEST_FORCE_MPS2], rate[np.abs(rate) > LARGEST_RATE_RADPS]]
+    if not (force.any(axis=1) | rate.any(axis=1)).all():
+        beyond.append(np.zeros(1))
+    reason = "samples are above 50 g or 2000 deg/s, or zero in all six readings"
+    cleaner.keep_possible(possible, np.concatenate(beyond), reason, _LOST_HINT)
 
 
 def _is_within(vectors: Floats, limit: float) -> Mask:

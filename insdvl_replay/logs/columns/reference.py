@@ -28,13 +28,22 @@ from insdvl_replay.core.dive_columns import (
     nothing,
 )
 from insdvl_replay.core.errors import LogError, Note, counted_clause, read_regular
-from insdvl_replay.core.states import DEG, DV, PHI
+from insdvl_replay.core.states import (
+    DEG,
+    DV,
+    FASTEST_MPS,
+    HIGHEST_M,
+    LARGEST_ANGLE_RAD,
+    LOWEST_M,
+    NO_HEIGHT_M,
+    PHI,
+)
 from insdvl_replay.core.units import ANGLE_UNITS
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import meridian_radius_m, transverse_radius_m
 from insdvl_replay.geometry.frames import MAT_ENU_NED, MAT_FRD_FLU
 from insdvl_replay.geometry.rotation import mat_from_quat, mat_from_rpy, skew, wrap_angle
-from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_lost_samples
+from insdvl_replay.logs.columns.clean import Cleaner, note_lost_samples, stand_for_none
 from insdvl_replay.logs.columns.tables import Table, rows_among
 from insdvl_replay.logs.columns.topics import BOW_DOWN
 
@@ -70,16 +79,10 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     settings = table.source.completed(settings)
     cleaner = Cleaner(table)
     note_lost_samples(cleaner)
-    position = _position(table, settings, initial)
+    position = _position(table, settings, initial, cleaner)
     reported = None if position is None else position.copy()
     if position is not None:
-        # A few positions beyond the poles are dropped; where they are many, the angles are something else.
-        possible = ~(np.abs(position[:, 0]) > np.pi / 2.0)
-        count, hint = int(np.count_nonzero(~possible)), f"{cleaner.role}.angle_unit, or "
-        hint += f'another field: {cleaner.role}.latitude = "field.path"'
-        if not is_few(count, possible.size):
-            raise LogError(f"{count} of {possible.size} latitudes are beyond the poles", hint, *table.where)
-        cleaner.keep_possible(possible, "latitudes are beyond the poles", hint)
+        _drop_beyond_poles(cleaner, position[:, 0])
         # Receivers without satellites report latitude and longitude 0, and no dive is there.
         zero = np.flatnonzero((position[:, :2] == 0.0).all(axis=1))
         if zero.size:
@@ -93,8 +96,13 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         cleaner.keep(np.isfinite(position[:, 0]), "no_fix", "positions are without satellites")
         cleaner.drop_repeated_values(position)
     cleaner.drop_repeated_times()
-    mat_nb = attitude(table, settings)
+    mat_nb = attitude(table, settings, cleaner)
     velocity_n = _velocity_n(table, settings, mat_nb)
+    if velocity_n is not None:
+        hint = f'to read another field: {cleaner.role}.velocity_n = "field.path"'
+        is_impossible = np.abs(velocity_n) > FASTEST_MPS
+        reason = f"velocities are above {FASTEST_MPS:g} m/s"
+        velocity_n = cleaner.without_impossible(velocity_n, is_impossible, reason, hint)
     for quantity, values in (
         ("positions", None if reported is None else reported[:, :2]),
         ("heights", None if reported is None else reported[:, 2:]),
@@ -107,15 +115,49 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
     return cleaner, {name: cleaner.kept(values) for name, values in found if values is not None}
 
 
-def _position(table: Table, settings: Navigation, initial: Initial) -> Floats | None:
+def _drop_beyond_poles(cleaner: Cleaner, latitude: Floats) -> None:
+    """Drop positions beyond the poles; where most are, and differ, the angles are something else."""
+    possible = ~(np.abs(latitude) > np.pi / 2.0)
+    if possible.all():
+        return
+    count = int(np.count_nonzero(~possible))
+    hint = f'{cleaner.role}.angle_unit, or another field: {cleaner.role}.latitude = "field.path"'
+    impossible_deg = latitude[~possible] / DEG
+    cleaner.keep_possible(possible, impossible_deg, "latitudes are beyond the poles, in degrees", hint)
+    if not possible[cleaner.rows].all() or not cleaner.rows.size:
+        what = f"{count} of {possible.size} latitudes are beyond the poles"
+        raise LogError(what, hint, *cleaner.table.where)
+
+
+def heights_without_marks(cleaner: Cleaner, height_m: Floats) -> Floats:
+    """Return heights, (k,), NaN where no water is, or where the number stands for none."""
+    is_impossible = ~((height_m > LOWEST_M) & (height_m < HIGHEST_M)) | (np.abs(height_m) == NO_HEIGHT_M)
+    is_impossible &= np.isfinite(height_m)
+    hint = f'to read another field: {cleaner.role}.height or {cleaner.role}.depth = "field.path"'
+    reason = "heights are of no water on Earth, in metres"
+    return cleaner.without_impossible(height_m[:, None], is_impossible[:, None], reason, hint)[:, 0]
+
+
+def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Floats:
+    """Return angles in a unit, (k, n), NaN where they are a number that stands for none, such as 999."""
+    beyond = np.abs(angles) * unit > LARGEST_ANGLE_RAD  # a heading that counts its turns may be large, too
+    if not beyond.any() or not stand_for_none(angles[beyond]):
+        return angles
+    hint = f"to read other fields: {cleaner.role}.roll, pitch and heading, or {cleaner.role}.quaternion"
+    return cleaner.without_impossible(angles, beyond, "angles stand for none", hint)
+
+
+def _position(table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner) -> Floats | None:
     if "latitude" in table:
         unit = ANGLE_UNITS[settings.angle_unit or "deg"]
-        latitude, longitude = of_receiver(table, "latitude") * unit, of_receiver(table, "longitude") * unit
+        latitude = of_receiver(table, "latitude") * unit
+        longitude = angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
         height_m = np.full(len(table), np.nan)
         if "depth" in table:
             height_m = -table.column("depth")
         elif "height" in table:
             height_m = table.column("height")
+        height_m = heights_without_marks(cleaner, height_m)
         # The wrapped negative is in [-pi, pi), so that its negative is in (-pi, pi].
         return np.stack([latitude, -wrap_angle(-longitude), height_m], axis=1)
     if "local_position" not in table:
@@ -160,7 +202,7 @@ def of_receiver(table: Table, quantity: str) -> Floats:
     return np.asarray(chosen[np.arange(len(chosen)), satellites.argmax(axis=1)])
 
 
-def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
+def attitude(table: Table, settings: Navigation | Heading, cleaner: Cleaner) -> Floats | None:
     """Return the attitude as it was written, shape (k, 3, 3), or None where the messages hold none whole."""
     if is_by_quaternion(table, settings):
 
@@ -181,7 +223,8 @@ def attitude(table: Table, settings: Navigation | Heading) -> Floats | None:
         raise LogError(text, f'{role}.heading = "field.path", or leave both out', *table.where)
     pitch = table.column("pitch") if "pitch" in table else -table.column(f"pitch{BOW_DOWN}")
     rpy = np.stack([table.column("roll"), pitch, table.column("heading")], axis=1)
-    return mat_from_rpy(rpy * ANGLE_UNITS[settings.angle_unit or "deg"])
+    unit = ANGLE_UNITS[settings.angle_unit or "deg"]
+    return mat_from_rpy(angles_without_marks(cleaner, rpy, unit) * unit)
 
 
 def is_by_quaternion(table: Table, settings: Navigation | Heading) -> bool:

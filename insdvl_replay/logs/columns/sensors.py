@@ -11,8 +11,14 @@ from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.states import BY_SENSOR, DEG, STANDARD_GRAVITY_MPS2
 from insdvl_replay.core.units import ANGLE_UNITS, PRESSURE_UNITS
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.logs.columns.clean import Cleaner
-from insdvl_replay.logs.columns.reference import attitude, is_by_quaternion, of_receiver
+from insdvl_replay.logs.columns.clean import Cleaner, stand_for_none
+from insdvl_replay.logs.columns.reference import (
+    angles_without_marks,
+    attitude,
+    heights_without_marks,
+    is_by_quaternion,
+    of_receiver,
+)
 from insdvl_replay.logs.columns.tables import Table
 
 Readings = tuple[Floats, Floats | None]
@@ -22,7 +28,8 @@ Readings = tuple[Floats, Floats | None]
 def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumns, list[Note]]:
     """Make the columns of a sensor; a `LogError` where no reading can be used."""
     settings = table.source.completed(getattr(config, name))
-    (values, mat_nb), cleaner = _READ[name](table, settings), Cleaner(table)
+    cleaner = Cleaner(table)
+    values, mat_nb = _READ[name](table, settings, cleaner)
     cleaner.keep_finite(values[:, :1], reason=f"messages have no {name}")
     if "sensor_id" in table:
         cleaner.drop_repeated_values(values)
@@ -43,7 +50,7 @@ def decode_log_topic(table: Table) -> tuple[SensorColumns, list[Note]]:
     return SensorColumns(cleaner.times, cleaner.kept(values)), cleaner.notes
 
 
-def _depth(table: Table, settings: Depth) -> Readings:
+def _depth(table: Table, settings: Depth, cleaner: Cleaner) -> Readings:
     """Return the metres below where the depth sensor reads nothing, (k, 1); the filters find where that is."""
     if "depth" in table:
         depth_m = table.column("depth")
@@ -52,10 +59,11 @@ def _depth(table: Table, settings: Depth) -> Readings:
     else:
         pressure_pa = table.column("pressure") * PRESSURE_UNITS[settings.pressure_unit or "Pa"]
         depth_m = pressure_pa / (settings.density_kgpm3 * STANDARD_GRAVITY_MPS2)
-    return np.asarray(depth_m[:, None], np.float64), None
+    depth_m = -heights_without_marks(cleaner, -np.asarray(depth_m, np.float64))
+    return depth_m[:, None], None
 
 
-def _heading(table: Table, settings: Heading) -> Readings:
+def _heading(table: Table, settings: Heading, cleaner: Cleaner) -> Readings:
     """Return the true heading, (k, 1), and the attitude that it is part of; NaN where a message has none."""
     declination, turned = settings.declination_deg * DEG, any(settings.mounting_rpy_deg)
     heading_alone = settings.heading is not None and settings.quaternion is None and settings.roll is None
@@ -64,15 +72,16 @@ def _heading(table: Table, settings: Heading) -> Readings:
             "heading.angle_unit is set, but the messages have a quaternion",
             "leave heading.angle_unit out; to read an angle: heading.heading",
         )
-    mat = None if heading_alone else attitude(table, settings)  # from magnetic or true north
+    mat = None if heading_alone else attitude(table, settings, cleaner)  # from magnetic or true north
     if mat is None:
         if turned:
             raise ConfigError(
                 "heading.mounting_rpy_deg needs an attitude, but the messages have a heading only",
                 "to correct a heading: heading.declination_deg",
             )
-        heading = table.column("heading") * ANGLE_UNITS[settings.angle_unit or "deg"]
-        return np.asarray((heading + declination)[:, None]), None
+        unit = ANGLE_UNITS[settings.angle_unit or "deg"]
+        heading = angles_without_marks(cleaner, table.values("heading", 1), unit) * unit
+        return heading + declination, None
     if turned:
         mat = np.asarray(mat @ mat_from_rpy(np.array(settings.mounting_rpy_deg) * DEG).T)
     if "quaternion_var" in table:
@@ -85,33 +94,39 @@ def _heading(table: Table, settings: Heading) -> Readings:
     return np.asarray(heading[:, None]), mat_from_rpy(np.array([0.0, 0.0, declination])) @ mat
 
 
-def _position(table: Table, settings: Position) -> Readings:
+def _position(table: Table, settings: Position, cleaner: Cleaner) -> Readings:
     """Return latitude rad, longitude rad, height m, (k, 3): NaN where there was no fix.
 
     A fix without height is dropped if heights are used. Otherwise its height is NaN.
     """
     unit = ANGLE_UNITS[settings.angle_unit or "deg"]
-    latitude, longitude = (of_receiver(table, name) * unit for name in ("latitude", "longitude"))
+    latitude = of_receiver(table, "latitude") * unit
+    longitude = angles_without_marks(cleaner, of_receiver(table, "longitude")[:, None], unit)[:, 0] * unit
     polar = np.abs(latitude) > 0.5 * np.pi
     count, known = int(polar.sum()), int(np.isfinite(latitude).sum())
-    if 2 * count > known:
+    hint = 'to read another field: position.latitude = "field.path"'
+    if 2 * count > known and (count == known or not stand_for_none(latitude[polar])):
         furthest = latitude[np.nanargmax(np.abs(latitude))] / unit
         raise LogError(
             f"{count} of {known} latitudes are beyond the poles, up to {furthest:.6g} {settings.angle_unit or 'deg'}",
-            'position.angle_unit = "deg" or "rad"; to read another field: position.latitude = "field.path"',
+            f'position.angle_unit = "deg" or "rad"; {hint}',
             *table.where,
         )
-    height_m = table.column("height") if "height" in table else np.full(len(table), np.nan)
+    reason = "latitudes are beyond the poles, in radians"
+    latitude = cleaner.without_impossible(latitude[:, None], polar[:, None], reason, hint)[:, 0]
+    height_m = np.full(len(table), np.nan)
+    if "height" in table:
+        height_m = heights_without_marks(cleaner, table.column("height"))
     position = np.stack([latitude, longitude, np.where(np.isfinite(height_m), height_m, np.nan)], axis=1)
     needed = position[:, : 2 if settings.height_sd_m is None else 3]
-    lost = (latitude == 0.0) & (longitude == 0.0) | polar | ~np.isfinite(needed).all(axis=1)
+    lost = (latitude == 0.0) & (longitude == 0.0) | ~np.isfinite(needed).all(axis=1)
     if "fix_status" in table:
         lost |= table.column("fix_status") < 0.0
     position[lost] = np.nan
     return position, None
 
 
-_READ: Final[dict[str, Callable[[Table, Any], Readings]]] = {
+_READ: Final[dict[str, Callable[[Table, Any, Cleaner], Readings]]] = {
     "depth": _depth,
     "heading": _heading,
     "position": _position,

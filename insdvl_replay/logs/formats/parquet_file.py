@@ -170,7 +170,7 @@ def _pages_of_chunk(data: memoryview, column: int) -> Iterator[_Page]:
         inside = [(fields.get(kind), inner) for kind, inner in _ENCODINGS]
         encodings = [page.get(inner) for page, inner in inside if isinstance(page, dict)]
         yield _Page(column, size, _DELTA_BYTE_ARRAY in encodings)
-        place = header.place + stored_size
+        place = header.offset + stored_size
 
 
 class _Header:
@@ -178,7 +178,7 @@ class _Header:
 
     def __init__(self, data: memoryview, place: int) -> None:
         self._data = data
-        self.place = place
+        self.offset = place
 
     def structure(self, level: int = 0) -> dict[int, Any]:
         """Read a structure; a ValueError where it is none that a header of a page has."""
@@ -206,14 +206,14 @@ class _Header:
         if kind != _BINARY:
             raise ValueError(f"the header of a page has a field of type {kind}")
         length = self._unsigned()
-        self.place += length
+        self.offset += length
         return None
 
     def _byte(self) -> int:
-        if self.place >= len(self._data):
+        if self.offset >= len(self._data):
             raise ValueError("the header of a page is cut")
-        self.place += 1
-        return self._data[self.place - 1]
+        self.offset += 1
+        return self._data[self.offset - 1]
 
     def _unsigned(self) -> int:
         value = 0

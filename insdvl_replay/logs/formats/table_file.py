@@ -50,7 +50,7 @@ _SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, fro
 _LATEST_NS: Final = 4e18  # differences of times must be whole numbers of 64 bits, too
 _LARGEST: Final = 1e100  # larger numbers are not finite, or their squares are not
 _LONGEST_TITLE: Final = 200  # letters
-_BESIDE: Final = 8  # numbers for each row beside its cells: its times, and what they are made of
+_WORK_NUMBERS: Final = 8  # for each row: its times, and what they are made of
 _WIDEST: Final = 64  # numbers in a row of an array that is one quantity
 _ROWS: Final = 1 << 16  # rows of a block
 _SAVE_AGAIN: Final = "save it again; for arrays: numpy.savez(path, time=..., acc=..., gyro=...)"
@@ -404,7 +404,7 @@ def _memory_of(table: _Table) -> int:
     """Return the bytes that a table needs while its times and rows are made."""
     columns = table.columns.values()
     count = len(next(iter(columns)))
-    return np.dtype(np.float64).itemsize * (sum(values.size for values in columns) + _BESIDE * count)
+    return np.dtype(np.float64).itemsize * (sum(values.size for values in columns) + _WORK_NUMBERS * count)
 
 
 def _rows_of(table: _Table, kept: NDArray[np.bool_]) -> NDArray[np.float64]:
