@@ -47,6 +47,10 @@ from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, le
 from insdvl_replay.geometry.rotation import vector_from_mat, wrap_angle
 
 UNIT_WRONG: Final = 5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
+_PINGS_LATE: Final = 3  # by which a velocity of the DVL is reported late by another topic
+_MOVING_MPS: Final = 0.05
+_SAME_MPS: Final = 2e-5  # single precision, and digits that are rounded
+_SAME_SHARE: Final = 0.5
 LARGEST_TRACK_ERROR: Final = 0.15  # share by which the gyros may differ from a track, whose DVL and positions err too
 
 
@@ -180,6 +184,26 @@ def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
 def says_anything(reference: ReferenceColumns) -> bool:
     """Return whether it gives an attitude, a position, or a velocity that is not always zero."""
     return reference.has_attitude or reference.has_position or bool(np.nan_to_num(reference.velocity_n).any())
+
+
+def is_of_dvl(reference: ReferenceColumns, dvl: DvlColumns) -> bool:
+    """Return whether the velocities of a reference are those of a DVL, in whatever axes, as in its dead reckoning.
+
+    Another source is never as fast to the last digits, ping by ping.
+    """
+    if dvl.velocity_d is None or not len(dvl.time_ns):
+        return False
+    known = reference.known["velocities"] & lies_within(reference.time_ns, dvl.time_ns)
+    speeds_mps = np.linalg.norm(reference.velocity_n[known], axis=1)
+    pings_mps = np.linalg.norm(dvl.velocity_d, axis=1)
+    ping = np.searchsorted(dvl.time_ns, reference.time_ns[known])
+    least_mps = np.full(len(speeds_mps), np.inf)
+    for offset in range(-_PINGS_LATE, _PINGS_LATE + 1):
+        row = np.clip(ping + offset, 0, len(pings_mps) - 1)
+        least_mps = np.fmin(least_mps, np.abs(pings_mps[row] - speeds_mps))
+    moving = speeds_mps > _MOVING_MPS
+    same = moving & (least_mps < _SAME_MPS)
+    return bool(np.count_nonzero(moving) >= ENOUGH and np.count_nonzero(same) > _SAME_SHARE * np.count_nonzero(moving))
 
 
 def _constant_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns) -> Iterator[Note]:

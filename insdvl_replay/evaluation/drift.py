@@ -259,18 +259,25 @@ def heading_fit(
     per_bias_m: Floats,  # (k, 2), m/(rad/s)
     reference_m: Floats,  # (k, 2)
     known_bias: tuple[float, float],  # the track's bias minus its prior, and the prior's sd, rad/s
+    piece: NDArray[np.int64] | None = None,  # (k,), number of the piece of the track that each time is in
 ) -> HeadingFit | None:
-    """Fit heading and gyro bias at the start by least squares, with shift and scale, which is the DVL's.
+    """Fit heading and gyro bias at the start by least squares, with a scale, which is the DVL's, and shifts.
+
+    Each piece of the track has its own shift, so that drift between two pieces does not count.
 
     None where the reference's track is not `SHORTEST_M` across, or too short for a standard error.
     """
     if len(time_ns) < 2 or np.hypot(*np.ptp(reference_m, axis=0)) < SHORTEST_M:
         return None
     columns, off_m = np.stack([per_heading_m, per_bias_m, estimated_m], axis=2), reference_m - estimated_m
-    columns, off_m = columns - columns.mean(axis=0), off_m - off_m.mean(axis=0)
+    for rows in [slice(None)] if piece is None else [piece == number for number in np.unique(piece)]:
+        columns[rows] -= columns[rows].mean(axis=0)
+        off_m[rows] -= off_m[rows].mean(axis=0)
     weights = np.linalg.pinv(columns.reshape(-1, 3)).reshape(3, -1, 2)
     found = np.einsum("ika,ka->i", weights, off_m)
-    changes = _changes(time_ns, weights @ [1.0, -1.0j], (off_m - columns @ found) @ [1.0, 1.0j]).real
+    complex_weights: Complexes = np.asarray(weights @ [1.0, -1.0j])
+    residuals: Complexes = np.asarray((off_m - columns @ found) @ np.array([1.0, 1.0j]))
+    changes = _changes(time_ns, complex_weights, residuals).real
     if changes.shape[1] < FEWEST_AVERAGES:
         return None
     correlated = np.sqrt([len(part) / max(samples_in_mean(part), 1.0) for part in changes])

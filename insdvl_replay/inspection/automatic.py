@@ -21,7 +21,7 @@ from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ImuColumns, ReferenceColumns, nanoseconds
-from insdvl_replay.core.errors import Note, UserError, listed
+from insdvl_replay.core.errors import LogError, Note, UserError, listed
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -37,6 +37,7 @@ from insdvl_replay.inspection.proposal import (
 )
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.trials import CONSISTENT
+from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.prepared import raise_if_span_is_empty, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import FIT, LEAST_NIS, MOST_NIS, baseline_fit, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
@@ -50,7 +51,10 @@ FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
 MOST_ROUNDS: Final = 4  # in which it is changed
 WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
 # Notes on a reference that does not move as DVL and gyros say.
-CONTRADICTIONS: Final = frozenset({"dvl_contradiction", "track_contradiction", "imu_gyro_contradiction"})
+CONTRADICTIONS: Final = frozenset(
+    {"dvl_contradiction", "track_contradiction", "imu_gyro_contradiction", "reference_constant"}
+)
+SHORT_S: Final = 30.0  # shorter logs are the last by which settings are found
 _NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
 AS_GIVEN: Final = "as given: "
 Paths = Sequence[Path]
@@ -81,25 +85,14 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     report_stage("finding the settings")
     dives, whole, given = dives[:MOST_DIVES], given, replace(given, config=given.config.without_code())
     notes: list[Note] = []
-    readings = read_roles(dives[0], given.config, allow_damaged=allow_damaged)
-    raise_if_span_is_empty(readings.place, readings.imus[0].columns, given.config.span)
-    config, cost = with_roles(readings, given, notes)
-    config = _with_latitude(_as_given(config, given), readings.reference, notes)
-    del readings
+    first, config, cost = _first_with_roles(dives, given, notes, allow_damaged=allow_damaged)
     report_stage("reading the log")
-    read = [read_checked_dive(dives[0], config, allow_damaged=allow_damaged)]
-    contradictions = [note for note in read[0].notes if note.code in CONTRADICTIONS]
-    if contradictions and cost < CONSISTENT and not given.has("reference"):
-        text = f"the reference is not used: {contradictions[0].text}, while IMU and DVL agree"
-        notes.append(found_note("found_reference", text, "to use it: reference.ignore = false", warn=True))
-        config = with_values(config, "reference", ignore=True)
-        if config.initial.latitude_deg is None and read[0].reference is not None:  # which its position still shows
-            latitude_deg = round(float(np.nanmedian(read[0].reference.position[:, 0])) / DEG, 3)
-            config = with_values(config, "initial", latitude_deg=latitude_deg)
-        read = [read_checked_dive(dives[0], config, allow_damaged=allow_damaged)]
-    for paths in dives[1:]:
-        with suppress(UserError):  # its own replay reports it
-            read.append(read_checked_dive(paths, config, allow_damaged=allow_damaged))
+    dive, config = _read_with_reference(first, config, given, cost, notes, allow_damaged=allow_damaged)
+    read = [dive]
+    for paths in dives:
+        if paths != first:
+            with suppress(UserError):  # its own replay reports it
+                read.append(read_checked_dive(paths, config, allow_damaged=allow_damaged))
     config = _with_start(read[0], config)
     preset = imu_class(read[0].imu)
     config = _as_given(_of_class(preset, config), given)
@@ -123,6 +116,69 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     return FoundSettings(
         _as_given(config, whole), tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING))
     )
+
+
+def _first_with_roles(
+    dives: Sequence[Paths], given: Given, notes: list[Note], *, allow_damaged: bool
+) -> tuple[Paths, Config, float]:
+    """Find the roles by the first dive that shows them, short ones last; the cost of its trial is returned, too."""
+    failures: list[UserError] = []
+    for paths in sorted(dives, key=_is_short):
+        found: list[Note] = []
+        try:
+            readings = read_roles(paths, given.config, allow_damaged=allow_damaged)
+            raise_if_span_is_empty(readings.place, readings.imus[0].columns, given.config.span)
+            config, cost = with_roles(readings, given, found)
+        except UserError as error:
+            failures.append(error)
+            continue
+        notes += found
+        return paths, _with_latitude(_as_given(config, given), readings.reference, notes), cost
+    raise failures[0]
+
+
+def _is_short(paths: Paths) -> bool:
+    """Return whether a log is too short, or cannot be read, to find settings by it."""
+    try:
+        spans_ns = [part.span_ns for part in open_recording(paths, allow_damaged=True).parts]
+    except UserError:
+        return True
+    known_ns = [span_ns for span_ns in spans_ns if span_ns]
+    length_ns = max((last for _, last in known_ns), default=0) - min((first for first, _ in known_ns), default=0)
+    return length_ns < SHORT_S * NS_PER_S
+
+
+def _read_with_reference(
+    paths: Paths, config: Config, given: Given, cost: float, notes: list[Note], *, allow_damaged: bool
+) -> tuple[Dive, Config]:
+    """Read a dive, without its reference where that contradicts IMU and DVL, which agree."""
+    is_free = cost < CONSISTENT and not given.has("reference") and not config.reference.ignore
+    try:
+        dive = read_checked_dive(paths, config, allow_damaged=allow_damaged)
+    except LogError as error:
+        without = with_values(config, "reference", ignore=True)
+        if not is_free:
+            raise
+        try:
+            dive = read_checked_dive(paths, without, allow_damaged=allow_damaged)
+        except UserError:
+            raise error from None
+        notes.append(_unused_reference(error.what))
+        return dive, without
+    contradictions = [note for note in dive.notes if note.code in CONTRADICTIONS]
+    if not contradictions or not is_free:
+        return dive, config
+    notes.append(_unused_reference(contradictions[0].text))
+    config = with_values(config, "reference", ignore=True)
+    if config.initial.latitude_deg is None and dive.reference is not None:  # which its position still shows
+        latitude_deg = round(float(np.nanmedian(dive.reference.position[:, 0])) / DEG, 3)
+        config = with_values(config, "initial", latitude_deg=latitude_deg)
+    return read_checked_dive(paths, config, allow_damaged=allow_damaged), config
+
+
+def _unused_reference(reason: str) -> Note:
+    text = f"the reference is not used: {reason}, while IMU and DVL agree"
+    return found_note("found_reference", text, "to use it: reference.ignore = false", warn=True)
 
 
 @dataclass(frozen=True)

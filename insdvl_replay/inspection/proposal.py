@@ -467,13 +467,16 @@ def _measured_reference(log: Recording, source: Source, config: Config) -> Itera
     path = source.fields["velocity_b"]
     # The place on Earth does not matter for displacements.
     place = msgspec.structs.replace(config.initial, latitude_deg=config.initial.latitude_deg or 0.0)
-    table = read_tables(log, [source])[0]
     misfits = []
-    for fields in ({}, {"velocity_n": path}):
-        settings = msgspec.structs.replace(config.reference, velocity_n=fields.get("velocity_n"))
-        read = replace(table, source=replace(source, fields={**source.fields, **fields}))
-        columns, _ = decode_reference([read], settings, place)
-        misfits.append(None if columns is None else velocity_misfit(columns))
+    try:
+        table = read_tables(log, [source])[0]
+        for fields in ({}, {"velocity_n": path}):
+            settings = msgspec.structs.replace(config.reference, velocity_n=fields.get("velocity_n"))
+            read = replace(table, source=replace(source, fields={**source.fields, **fields}))
+            columns, _ = decode_reference([read], settings, place)
+            misfits.append(None if columns is None else velocity_misfit(columns))
+    except LogError:  # a reference that cannot be read is reported where it is used
+        return
     in_body, in_world = misfits
     if in_body is not None and in_world is not None and in_world <= min(_FITS, _FITS_CLEARLY * in_body):
         text = (
@@ -504,6 +507,7 @@ class Proposal:
     blockers: tuple[Blocker, ...] = ()  # what stops a replay with them too
     notes: tuple[Note, ...] = ()
     table_clocks: tuple[Setting, ...] = ()  # those of the settings that correct the clocks of tables
+    clocks: tuple[Clock, ...] = ()  # by the stamps that the roles have without the settings
 
 
 def propose_settings(path: Path | Sequence[Path], config: Config, *, allow_damaged: bool = False) -> Proposal:
@@ -553,7 +557,7 @@ def propose(
         text = f"too many fields: these topics were ignored for the proposal: {listed(unseen)}"
         hint = "set the topic of each role: imu.topic, dvl.topic, reference.topic"
         notes.append(Note("topics_not_looked_at", text, len(unseen), hint=hint))
-    return Proposal(tuple(settings), tuple(last.blockers), tuple(notes), tuple(clocks))
+    return Proposal(tuple(settings), tuple(last.blockers), tuple(notes), tuple(clocks), tuple(seen.clocks))
 
 
 def _choices(findings: Sequence[Finding], seen: DryRun) -> Iterator[Setting]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.checks.dvl import median_speed_mps
-from insdvl_replay.checks.imu import imu_remarks
+from insdvl_replay.checks.imu import ENOUGH, imu_remarks
+from insdvl_replay.checks.reference import is_of_dvl, says_anything
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import LogError, Note, UserError
@@ -19,9 +20,11 @@ from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
 from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS, VELOCITY_BY_SIZE, VELOCITY_UNITS
 from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
+from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.proposal import (
     Given,
+    Proposal,
     Setting,
     axes_text,
     found_note,
@@ -43,7 +46,7 @@ from insdvl_replay.inspection.trials import (
     trial_config,
 )
 from insdvl_replay.logs.columns.imu import FRD, decode_imu, in_frd, measured_vectors
-from insdvl_replay.logs.columns.tables import read_tables
+from insdvl_replay.logs.columns.tables import Table, read_tables
 from insdvl_replay.logs.columns.topics import Source
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.read import RoleColumns, find_roles
@@ -55,6 +58,7 @@ SAME_SPEED: Final = 1.5  # factor within which median speeds of DVL and referenc
 SPINNING_RADPS: Final = 1.0
 QUARTERS_DEG: Final = frozenset({-90.0, 0.0, 90.0, 180.0})  # headings of a DVL that are tried
 UNKNOWN_LATITUDE_DEG: Final = 45.0
+_USE_REFERENCE: Final = "to use it: reference.ignore = false"
 
 
 @dataclass(frozen=True)
@@ -78,45 +82,146 @@ class RoleReadings:
     velocity_units: dict[str, str]  # by topic, where they are not as proposed
     reference: ReferenceColumns | None
     clocks: tuple[Setting, ...]  # that correct the times of tables
+    notes: tuple[Note, ...] = ()  # topics that were left out, with the reason
+    is_alone: frozenset[str] = frozenset()  # roles for which the log has one topic
+
+
+@dataclass
+class _LeftOut:
+    """Topics that cannot play a role, with the reason."""
+
+    place: str
+    errors: dict[str, UserError] = field(default_factory=dict)  # the first of each topic
+    notes: list[Note] = field(default_factory=list)
+
+    def add(self, role: str, topic: str, error: UserError) -> None:
+        """Leave out a topic."""
+        self.errors.setdefault(topic, error)
+        reason = error.inside(self.place, topic)
+        name = role.upper() if role in ("imu", "dvl") else role
+        hint = f'to use it: {role}.topic = "{topic}"'
+        self.notes.append(found_note("found_left_out", f"{topic} is not used as {name}: {reason}", hint))
 
 
 def read_roles(paths: Path | Sequence[Path], given: Config, *, allow_damaged: bool) -> RoleReadings:
-    """Read all topics that could be the IMU or the DVL, and the proposed reference; LogError where there is none."""
+    """Read all topics that could be the IMU or the DVL, and the reference; LogError where there is none.
+
+    A topic that cannot be used is left out with a note, as long as another one can.
+    """
     proposal = propose_settings(paths, given, allow_damaged=allow_damaged)
     draft = with_settings(given, proposal.settings)
     log = open_recording(paths, allow_damaged=allow_damaged)
     place = str(log.path)
+    left_out = _LeftOut(place)
     with log.watched():
         proposed = {finding.role: finding for finding in find_roles(place, log.channels, draft)}
         by_type = {finding.role: finding for finding in find_roles(place, log.channels, given)}
         for role in ("dvl", "imu"):
             if (error := proposed[role].error) is not None:
                 raise error
-        refused: list[LogError] = []
-        imus = list(_imu_topics(log, by_type["imu"].candidates or proposed["imu"].sources, draft, refused))
+        imu_sources = by_type["imu"].candidates or proposed["imu"].sources
+        imus = list(_imu_topics(log, imu_sources, draft, left_out))
         if not imus:
-            raise refused[0] if refused else LogError("has no readings of an IMU", "", place)
-        columns = RoleColumns(place, draft)
-        if proposed["reference"].sources:
-            with suppress(UserError):
-                columns.decode("reference", read_tables(log, proposed["reference"].sources))
-        reference = columns.reference
-        pings: dict[str, DvlColumns] = {}
-        units: dict[str, str] = {}
-        for source in by_type["dvl"].candidates or proposed["dvl"].sources:
-            (table,) = read_tables(log, [source])
-            columns = RoleColumns(place, draft)
-            columns.decode("dvl", [table])
-            unit = _velocity_unit(median_speed_mps(columns.dvl), reference, draft)
-            if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
-                units[source.topic] = unit
-                columns = RoleColumns(place, with_values(draft, "dvl", velocity_unit=unit))
-                columns.decode("dvl", [table])
-            pings[source.topic] = columns.dvl
+            raise next(iter(left_out.errors.values()), LogError("has no readings of an IMU", "", place))
+        references = [proposed["reference"].sources, *([source] for source in by_type["reference"].candidates)]
+        reference, draft = _first_reference(log, references, draft, given, left_out)
+        dvl_sources = by_type["dvl"].candidates or proposed["dvl"].sources
+        pings, units, own_velocities = _dvl_topics(log, dvl_sources, draft, given, reference, left_out)
     if (speed_mps := max(map(median_speed_mps, pings.values()))) < LEAST_MPS:
         text = f"the median speed of the DVL is {speed_mps:.2g} m/s, too slow to find settings"
         raise LogError(text, "use a dive with turns and changes of speed, or give the settings with -c", place)
-    return RoleReadings(place, draft, imus, pings, units, reference, proposal.table_clocks)
+    if reference is not None and not given.reference.topic:
+        for topic, dvl in own_velocities.items():
+            if is_of_dvl(reference, dvl):
+                text = f"the reference is not used: its velocities are those of {topic}, so that it is no other source"
+                left_out.notes.append(found_note("found_reference", text, _USE_REFERENCE, warn=True))
+                reference = None
+                draft = with_values(draft, "reference", ignore=True)
+                break
+    alone = {"imu": len(imu_sources) == 1, "dvl": len(dvl_sources) == 1}
+    is_alone = frozenset(role for role, is_single in alone.items() if is_single)
+    notes = (*left_out.notes, *_stamp_notes(proposal))
+    return RoleReadings(place, draft, imus, pings, units, reference, proposal.table_clocks, notes, is_alone)
+
+
+def _first_reference(
+    log: Recording, tried: Sequence[Sequence[Source]], draft: Config, given: Config, left_out: _LeftOut
+) -> tuple[ReferenceColumns | None, Config]:
+    """Return the first reference that can be read, and the settings with it; they ignore it where none can."""
+    for sources in tried:
+        if not sources:
+            continue
+        columns = RoleColumns(str(log.path), draft)
+        try:
+            columns.decode("reference", read_tables(log, sources))
+        except UserError as error:
+            left_out.add("reference", sources[0].topic, error)
+            continue
+        if columns.reference is None or not says_anything(columns.reference):
+            continue
+        if sources is not tried[0]:
+            draft = with_values(draft, "reference", topic=sources[0].topic)
+        return columns.reference, draft
+    is_chosen = given.reference.topic is not None or given.reference.fix is not None
+    if tried[0] and not is_chosen and not draft.reference.ignore and left_out.errors.keys() & {tried[0][0].topic}:
+        draft = with_values(draft, "reference", ignore=True)
+    return None, draft
+
+
+def _dvl_topics(
+    log: Recording,
+    sources: Sequence[Source],
+    draft: Config,
+    given: Config,
+    reference: ReferenceColumns | None,
+    left_out: _LeftOut,
+) -> tuple[dict[str, DvlColumns], dict[str, str], dict[str, DvlColumns]]:
+    """Read the topics that could be the DVL: their pings, the units that are not as proposed, and their velocities."""
+    pings: dict[str, DvlColumns] = {}
+    units: dict[str, str] = {}
+    own_velocities: dict[str, DvlColumns] = {}  # those that the instruments computed, where there are any
+    for source in sources:
+        try:
+            (table,) = read_tables(log, [source])
+            dvl = _decoded(log, table, draft)
+            unit = _velocity_unit(median_speed_mps(dvl), reference, draft)
+            read_in = draft
+            if unit != (draft.dvl.velocity_unit or "m/s") and given.dvl.velocity_unit is None:
+                read_in = with_values(draft, "dvl", velocity_unit=unit)
+                dvl = _decoded(log, table, read_in)
+                units[source.topic] = unit
+        except UserError as error:
+            left_out.add("dvl", source.topic, error)
+            continue
+        pings[source.topic] = dvl
+        own_velocities[source.topic] = dvl
+        if dvl.velocity_d is None and "velocity" in table:
+            with suppress(UserError):
+                own_velocities[source.topic] = _decoded(log, table, with_values(read_in, "dvl", kind="velocity"))
+    if not pings:
+        raise left_out.errors[sources[0].topic]
+    return pings, units, own_velocities
+
+
+def _decoded(log: Recording, table: Table, config: Config) -> DvlColumns:
+    columns = RoleColumns(str(log.path), config)
+    columns.decode("dvl", [table])
+    return columns.dvl
+
+
+def _stamp_notes(proposal: Proposal) -> Iterator[Note]:
+    """Report the roles whose clocks are not the recorder's, so that the log times are used."""
+    by_recorder = [
+        setting.section
+        for setting in proposal.settings
+        if setting.key.endswith(".stamp") and setting.value == "log_time"
+    ]
+    apart = [clock for clock in proposal.clocks if clock.role in by_recorder and is_other_clock(clock)]
+    if not apart:
+        return
+    said = "; ".join(clock_words(clock) for clock in apart)
+    hint = f"to use the sensors' own times: {apart[0].role}.latency_s and .stamp"
+    yield found_note("found_clocks", f"{said}: log times used", hint, warn=True)
 
 
 def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: Config) -> str:
@@ -166,12 +271,15 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
             place,
         )
     looks = pings[dvl_topic].look_d
+    notes += read.notes
     notes += _role_notes(tried, best, imus)
     if read.clocks:
         times = "; ".join(f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks)
         notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
-    draft = msgspec.structs.replace(draft, imu=_as_configured(imu, best, given.config.imu, is_alone=len(imus) == 1))
-    if len(pings) > 1:
+    draft = msgspec.structs.replace(
+        draft, imu=_as_configured(imu, best, given.config.imu, is_alone="imu" in read.is_alone)
+    )
+    if "dvl" not in read.is_alone:
         draft = with_values(draft, "dvl", topic=dvl_topic)
     if dvl_topic in read.velocity_units:
         draft = with_values(draft, "dvl", velocity_unit=read.velocity_units[dvl_topic])
@@ -208,53 +316,56 @@ def _rate_unit(best: Hypothesis) -> tuple[str, float]:
     return "", best.rate_scale
 
 
-def _imu_topics(
-    log: Recording, sources: Sequence[Source], draft: Config, refused: list[LogError]
-) -> Iterator[_ImuTopic]:
-    """Read the topics that could be the IMU in SI units, by the size of gravity and of the rates."""
+def _imu_topics(log: Recording, sources: Sequence[Source], draft: Config, left_out: _LeftOut) -> Iterator[_ImuTopic]:
+    """Read the topics that could be the IMU; those that cannot are left out."""
     for source in sources:
-        (table,) = read_tables(log, [source])
-        is_meant = draft.imu.topic in (None, source.topic)
-        own = draft.imu if is_meant else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
-        known = source.completed(own)
-        as_read = Hypothesis(known.axes or FRD, known.specific_force_axes or known.axes or FRD)
-        force, rate = (
-            measured_vectors(table, "specific_force", "force"),
-            measured_vectors(table, "angular_rate", "rate"),
-        )
-        sizes = np.linalg.norm(force, axis=1)
-        size = float(np.median(sizes[np.isfinite(sizes) & (sizes > 0.0)])) if (sizes > 0.0).any() else np.nan
-        rates = np.linalg.norm(rate, axis=1)
-        turning = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else np.nan
-        values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
-        unit = known.specific_force_unit or "m/s2"
-        fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
-        if fitting and unit not in fitting:
-            values["specific_force_unit"] = fitting[0]
-        elif not fitting and size > 0.0:
-            near = min(
-                (unit, *SPECIFIC_FORCE_BY_SIZE),
-                key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
-            )
-            ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
-            if near != unit:
-                values["specific_force_unit"] = near
-            values["specific_force_scale"] = float(f"{ratio:.4g}")
-        if turning > SPINNING_RADPS and known.angular_rate_unit != "deg/s":
-            values["angular_rate_unit"] = "deg/s"
-        settings = msgspec.structs.replace(own, **values)
         try:
-            columns, _ = decode_imu(table, settings)
-        except LogError as error:
-            refused.append(error)
-            continue
-        remarks = imu_remarks(
-            str(log.path), columns, None, msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
+            yield _imu_topic(log, source, draft)
+        except UserError as error:
+            left_out.add("imu", source.topic, error)
+
+
+def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
+    """Read a topic in SI units, by the size of gravity and of the rates; LogError where it cannot be the IMU."""
+    (table,) = read_tables(log, [source])
+    is_meant = draft.imu.topic in (None, source.topic)
+    own = draft.imu if is_meant else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
+    known = source.completed(own)
+    as_read = Hypothesis(known.axes or FRD, known.specific_force_axes or known.axes or FRD)
+    force, rate = (
+        measured_vectors(table, "specific_force", "force"),
+        measured_vectors(table, "angular_rate", "rate"),
+    )
+    sizes = np.linalg.norm(force, axis=1)
+    size = float(np.median(sizes[np.isfinite(sizes) & (sizes > 0.0)])) if (sizes > 0.0).any() else np.nan
+    rates = np.linalg.norm(rate, axis=1)
+    turning = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else np.nan
+    values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
+    unit = known.specific_force_unit or "m/s2"
+    fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+    if fitting and unit not in fitting:
+        values["specific_force_unit"] = fitting[0]
+    elif not fitting and size > 0.0:
+        near = min(
+            (unit, *SPECIFIC_FORCE_BY_SIZE),
+            key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
         )
-        stops = [remark for remark in remarks if isinstance(remark, LogError) and remark.what.startswith("the IMU has")]
-        refused += stops
-        if not stops:
-            yield _ImuTopic(source.topic, columns, settings, as_read)
+        ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
+        if near != unit:
+            values["specific_force_unit"] = near
+        values["specific_force_scale"] = float(f"{ratio:.4g}")
+    if turning > SPINNING_RADPS and known.angular_rate_unit != "deg/s":
+        values["angular_rate_unit"] = "deg/s"
+    settings = msgspec.structs.replace(own, **values)
+    columns, _ = decode_imu(table, settings)
+    place = str(log.path)
+    if len(columns.time_ns) < ENOUGH:
+        raise LogError(f"has {len(columns.time_ns)} samples, too few to try settings", "", place, source.topic)
+    checked = msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
+    for remark in imu_remarks(place, columns, None, checked):
+        if isinstance(remark, LogError) and remark.what.startswith("the IMU has"):
+            raise remark
+    return _ImuTopic(source.topic, columns, settings, as_read)
 
 
 def _role_notes(

@@ -14,9 +14,10 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from msgspec.structs import replace as changed
+from numpy.typing import NDArray
 
 from insdvl_replay.core.config import Config, Initial
-from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Dive, ReferenceColumns, TimeNs, nanoseconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note, error_context
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage, return_freed_memory
@@ -253,6 +254,7 @@ FIT: Final = "fit"
 MOST_ROUNDS: Final = 6
 SETTLED_DEG: Final = 0.02
 HEADING_STEP_DEG: Final = 1.0
+LONGEST_SILENCE_S: Final = 5.0  # of the DVL, in which the track goes on as well as before
 BIAS_STEP: Final = 0.2  # in the bias's standard deviation beforehand
 HELD_BIAS_DEGPH: Final = 1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
 LEAST_SURE_DEG: Final = 15.0  # a heading that a track gives no better says nothing
@@ -320,7 +322,10 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
             )
             prepared = prepare_dive(dive, changed(config, initial=started))
             histories.append(run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)))
-        time_ns, ours, theirs = np.intersect1d(histories[0].time_ns, placed.time_ns, return_indices=True)
+        compared_ns, piece = _tracked(placed.time_ns, prepared.velocities.time_ns)
+        time_ns, ours, theirs = np.intersect1d(histories[0].time_ns, compared_ns, return_indices=True)
+        piece = piece[theirs]
+        theirs = np.searchsorted(placed.time_ns, time_ns)
         tracks, origin = [history.position[ours] for history in histories], placed.position[theirs[:1]]
         reference_m, track_m, turned_m, biased_m = (
             np.stack(north_east_m(track, origin, origin), axis=1) for track in (placed.position[theirs], *tracks)
@@ -328,7 +333,7 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
         per_heading_m = (turned_m - track_m) / (HEADING_STEP_DEG * DEG)
         per_bias_m = (biased_m - track_m) / (bias_step_degph * DEG_PER_HOUR)
         known = (bias_degph - prior_degph) * DEG_PER_HOUR, prior_sd_degph * DEG_PER_HOUR
-        fit = heading_fit(time_ns, track_m, per_heading_m, per_bias_m, reference_m, known)
+        fit = heading_fit(time_ns, track_m, per_heading_m, per_bias_m, reference_m, known, piece)
         if fit is None or not fit.heading_sd < LEAST_SURE_DEG * DEG:
             raise LogError(
                 f"{dive.name}: the start heading cannot be determined from the reference's track",
@@ -341,6 +346,21 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
     time_s = np.ptp(placed.time_ns) * 1e-9
     bias_sd = np.hypot(found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0))
     return FittedStart(heading_deg, found.heading_sd / DEG, bias_degph, float(bias_sd) / DEG_PER_HOUR)
+
+
+def _tracked(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[TimeNs, NDArray[np.int64]]:
+    """Return the times that are not in a long pause of the DVL, and in which piece of the track between pauses each is.
+
+    Without DVL a track drifts by more in half a minute than a wrong heading moves it.
+    """
+    begins = np.flatnonzero(np.diff(ping_ns) > nanoseconds(LONGEST_SILENCE_S))
+    ended = np.searchsorted(ping_ns[begins + 1], time_ns, "right")
+    begun = np.searchsorted(ping_ns[begins], time_ns, "left")
+    heard = begun == ended
+    if len(ping_ns):
+        aside_ns = nanoseconds(LONGEST_SILENCE_S)
+        heard &= (time_ns >= ping_ns[0] - aside_ns) & (time_ns <= ping_ns[-1] + aside_ns)
+    return time_ns[heard], ended[heard]
 
 
 def _started(initial: Initial, heading_deg: float, bias_degph: float, **others: Any) -> Initial:

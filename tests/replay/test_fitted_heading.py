@@ -16,7 +16,7 @@ from insdvl_replay.core.states import DEG_PER_HOUR
 from insdvl_replay.evaluation.drift import heading_fit
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import with_reference_at_imu
-from insdvl_replay.preparation.run import fitted_start
+from insdvl_replay.preparation.run import _tracked, fitted_start
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
@@ -101,6 +101,33 @@ def test_what_is_known_of_the_bias_is_one_measurement_more() -> None:
     assert known.bias == pytest.approx(-2e-5, abs=1e-9)
     assert known.heading_sd < unknown.heading_sd
     assert known.heading - unknown.heading == pytest.approx((unknown.bias + 2e-5) * 400.0 / 2.0, rel=0.3)
+
+
+def test_drift_in_a_pause_of_the_dvl_does_not_turn_the_heading() -> None:
+    """Behind a pause the track is 15 m aside; each piece has its own shift, and the heading is that of both."""
+    second = np.append(np.arange(200), np.arange(230, 400))
+    time_ns = second * 1_000_000_000
+    track_m = np.stack([100.0 * np.sin(0.02 * second), 60.0 * np.sin(0.04 * second)], axis=1)
+    per_heading_m = np.stack([-track_m[:, 1], track_m[:, 0]], axis=1)
+    per_bias_m = 0.5 * second[:, None] * per_heading_m
+    noise_m = np.cumsum(0.01 * np.random.default_rng(3).standard_normal((len(second), 2)), axis=0)
+    reference_m = track_m + 0.1 * per_heading_m + noise_m
+    reference_m[200:] += [9.0, -12.0]
+    columns = (time_ns, track_m, per_heading_m, per_bias_m, reference_m, (0.0, 1e-9))
+    whole = heading_fit(*columns)
+    pieces = heading_fit(*columns, piece=(second >= 230).astype(np.int64))
+    assert whole is not None
+    assert pieces is not None
+    assert pieces.heading == pytest.approx(0.1, abs=0.003)
+    assert pieces.heading_sd < 0.2 * whole.heading_sd
+
+
+def test_times_without_dvl_are_in_no_piece() -> None:
+    ping_ns = np.append(np.arange(10, 50), np.arange(80, 100)) * 1_000_000_000
+    time_ns = np.arange(0, 120) * 1_000_000_000
+    kept_ns, piece = _tracked(time_ns, ping_ns)
+    np.testing.assert_array_equal(kept_ns // 1_000_000_000, [*range(5, 50), *range(80, 105)])
+    np.testing.assert_array_equal(np.bincount(piece), [45, 25])
 
 
 def test_a_dive_whose_track_reports_no_heading_says_so(truth: Dive) -> None:

@@ -343,6 +343,7 @@ def _used_directions(
     those of most DVLs. Where they contradict the velocity, others are looked for that agree with it.
     """
     usual_d = _usual_directions(settings)
+    cleaner.require_rows()
     reported = None
     fault = ""
     if _are_reported(table) and not _has_directions(settings):

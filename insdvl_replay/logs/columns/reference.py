@@ -23,9 +23,11 @@ from insdvl_replay.core.dive_columns import (
     SolutionColumns,
     TimeNs,
     distinct,
+    find_runs,
     in_blocks,
     is_new,
     nothing,
+    seconds,
 )
 from insdvl_replay.core.errors import LogError, Note, counted_clause, read_regular
 from insdvl_replay.core.states import (
@@ -55,6 +57,11 @@ _LARGEST: Final = 1e30  # powers of larger variances are no numbers
 _TUM_COLUMNS: Final = 8
 _TUM_FORMAT: Final = "time x y z qx qy qz qw: seconds on the log's clock, m, and the attitude"
 _LATEST_S: Final = Decimal(2**63) / NS_PER_S
+
+
+_FEW_AGAIN: Final = 0.2  # share of rows up to which values repeat by chance, such as rounded ones
+_LONGEST_AGAIN_S: Final = 2.5  # in which a topic repeats a value
+_LEAST_VALUES: Final = 20
 
 
 Part = tuple[Cleaner, dict[str, Floats]]  # what one topic gives of `_SHAPES`, and which of its messages were taken
@@ -103,6 +110,9 @@ def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
         is_impossible = np.abs(velocity_n) > FASTEST_MPS
         reason = f"velocities are above {FASTEST_MPS:g} m/s"
         velocity_n = cleaner.without_impossible(velocity_n, is_impossible, reason, hint)
+    position = _without_published_again(cleaner, "positions", position)
+    velocity_n = _without_published_again(cleaner, "velocities", velocity_n)
+    mat_nb = _without_published_again(cleaner, "attitudes", mat_nb)
     for quantity, values in (
         ("positions", None if reported is None else reported[:, :2]),
         ("heights", None if reported is None else reported[:, 2:]),
@@ -145,6 +155,34 @@ def angles_without_marks(cleaner: Cleaner, angles: Floats, unit: float) -> Float
         return angles
     hint = f"to read other fields: {cleaner.role}.roll, pitch and heading, or {cleaner.role}.quaternion"
     return cleaner.without_impossible(angles, beyond, "angles stand for none", hint)
+
+
+def _without_published_again(cleaner: Cleaner, plural: str, columns: Floats | None) -> Floats | None:
+    """Return values, missing where they repeat the row before because a topic is published faster than they are made.
+
+    Else they would be those of a time that has passed. Values that stay for longer are of a vehicle at rest, or frozen.
+    """
+    rows = cleaner.rows
+    if columns is None or not len(rows):
+        return columns
+    values = columns[rows].reshape(len(rows), -1)
+    again = np.zeros(len(rows), np.bool_)
+    again[1:] = (values[1:] == values[:-1]).all(axis=1)
+    if np.count_nonzero(again) <= _FEW_AGAIN * len(rows):
+        return columns
+    starts, ends = find_runs(again)
+    times = cleaner.times
+    is_long = seconds(times[ends - 1], times[starts - 1]) > _LONGEST_AGAIN_S
+    for start, end in zip(starts[is_long].tolist(), ends[is_long].tolist(), strict=True):
+        again[start:end] = False
+    count = int(np.count_nonzero(again))
+    if count <= _FEW_AGAIN * len(rows) or len(rows) - count < _LEAST_VALUES:
+        return columns
+    columns = columns.copy()
+    columns[rows[again]] = np.nan
+    text = f"{plural} of {len(rows)} repeat the row before and count as missing: they are published faster than made"
+    cleaner.note("same_values", text, count, first=rows[again])
+    return columns
 
 
 def _position(table: Table, settings: Navigation, initial: Initial, cleaner: Cleaner) -> Floats | None:
