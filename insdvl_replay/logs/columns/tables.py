@@ -46,6 +46,7 @@ SAMPLED: Final = ("pose_cov", "twist_cov")  # quantities that change slowly, and
 MOST_SAMPLED: Final = 20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
 _RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")  # as a stamp: of the rows of a table
 _WITH_UNIT: Final = re.compile(r"(.+?) ?\[(s|ms|us|ns)\]")  # as a stamp: a field, and the unit of its numbers
+_UNDER_WAY: Final = 1000  # messages at most that are under way from a sensor to the recorder
 _HOPELESS: Final = 1000  # where so many messages cannot be read, and fewer can, the schema is wrong
 
 
@@ -72,6 +73,7 @@ class Table:
     has_whole_times: bool = False  # stamps were seconds and nanoseconds; their column is nanoseconds
     others: int = 0  # messages without a row, less the rows that some messages have beyond one
     sampled: Rows = field(default_factory=lambda: np.empty(0, np.int64))  # rows of the `SAMPLED` quantities
+    was_set: bool = False  # whether the recorder's clock was set, so that stamps of messages under way have the old one
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -135,6 +137,8 @@ class Table:
             else:
                 counted = values[:, 0] * stamp_unit(values[:, 0], log_time_ns)[0]
             time_ns = counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)
+        if self.was_set:
+            time_ns = with_one_clock(time_ns, self.columns["log_time"][:, 0])
         if time_ns.size > 1 and time_ns.min() == time_ns.max():
             text = f"stamp '{stamp}' is {time_ns[0] / NS_PER_S:.9f} s in each of {time_ns.size} messages"
             raise LogError(text, hint, *self.where)
@@ -154,6 +158,15 @@ class Table:
         """Return the error with which a log is refused of which messages cannot be read."""
         faults = [self.fault] * len(self.unreadable_ns) if self.fault else []
         return damaged_file_error(faults, [self.columns["log_time"][:, 0]], "message")
+
+
+def with_one_clock(time_ns: TimeNs, log_time_ns: TimeNs) -> TimeNs:
+    """Return stamps, those of the clock before it was set moved to the usual time before their log times."""
+    behind_ns = log_time_ns - time_ns
+    usual_ns = int(np.median(behind_ns))
+    is_old = np.abs(behind_ns - usual_ns) > nanoseconds(LEAP_S)
+    few = np.count_nonzero(is_old) <= _UNDER_WAY
+    return np.where(is_old, log_time_ns - usual_ns, time_ns) if few else time_ns
 
 
 def read_tables(log: Recording, sources: Sequence[Source]) -> list[Table]:
@@ -257,6 +270,10 @@ class _Builder:
             return
         for whole, fields in self._readable(self.readers[block.channel_id], block):
             part = whole.part(fields[ROWS][:, 0]) if ROWS in fields else whole
+            if self.log.one_clock is not None:
+                used = self.log.one_clock.holds(part.log_time)
+                part = part.part(np.flatnonzero(used))
+                fields = {path: values[used] for path, values in fields.items()}
             self.others += len(whole) - len(part)
             if not len(part):
                 continue
@@ -317,6 +334,7 @@ class _Builder:
             has_whole_times=self.has_whole_times,
             others=self.others,
             sampled=sampled_rows,
+            was_set=self.log.one_clock is not None,
         )
         if self.unreadable_ns and not self.log.allow_damaged:
             raise table.damage_error()

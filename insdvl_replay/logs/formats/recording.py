@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 from typing import Final, TypeVar
@@ -27,6 +28,7 @@ from insdvl_replay.logs.formats.log_file import (
     damaged_file_error,
 )
 from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
+from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans_a_step
 
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
 Step = TypeVar("Step")
@@ -98,6 +100,8 @@ class Recording:
         for error in self._unusable.values():
             text = f"{error.message}; the whole file is lost (unknown number of messages, unknown time)"
             notes.append(Note("log_damaged", text, 1, Severity.WARNING, COPY_AGAIN))
+        if self.one_clock is not None:
+            notes.append(self.one_clock.note)
         if len(self.parts) > 1:
             names = ", ".join(part.path.name for part in self.parts)
             notes.insert(0, Note("joined_files", f"read as one dive: {names}", len(self.parts)))
@@ -116,6 +120,15 @@ class Recording:
                 text = counted_clause(len(overlaps), clause)
                 notes.append(Note("files_overlap", text, len(overlaps)))
         return tuple(notes)
+
+    @cached_property
+    def one_clock(self) -> OneClock | None:
+        """The part of a recording with one clock that is used; None where its clock was not set."""
+        logs = [part for part in self.parts if not all(channel.encoding == TABLE for channel in part.channels)]
+        spans = [part.span_ns for part in logs if part.span_ns]
+        if not spans or not spans_a_step(min(first for first, _ in spans), max(last for _, last in spans)):
+            return None
+        return one_clock([times for part in logs for times in part.log_times().values()])
 
     def log_times(self) -> dict[int, TimeNs]:
         """Return the log times of all messages by channel, (k,) ns."""

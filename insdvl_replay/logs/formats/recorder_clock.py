@@ -1,0 +1,80 @@
+"""A recorder whose clock was set during a recording: which part of the log has one clock, and is used."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs, nanoseconds
+from insdvl_replay.core.errors import Note
+from insdvl_replay.core.words import Severity
+
+_DAY_S: Final = 86_400.0  # no recorder waits for so long in the middle of a dive
+
+
+@dataclass(frozen=True)
+class OneClock:
+    """The longest part of a recording whose clock was set."""
+
+    first_ns: int  # log times of this part
+    last_ns: int
+    set_s: float  # after the first message, when the clock was set for the first time
+    from_ns: int  # the last time before it, and the first one behind it
+    to_ns: int
+    unused: int  # messages of other parts
+
+    def holds(self, log_time_ns: TimeNs) -> NDArray[np.bool_]:
+        """Return which messages are of this part."""
+        return np.asarray((log_time_ns >= self.first_ns) & (log_time_ns <= self.last_ns))
+
+    @property
+    def note(self) -> Note:
+        """Report that the clock was set, and what is used."""
+        before, after = (np.datetime64(time_ns, "ns").astype("M8[s]") for time_ns in (self.from_ns, self.to_ns))
+        length_s = (self.last_ns - self.first_ns) / NS_PER_S
+        text = (
+            f"the recorder's clock was set {self.set_s:.1f} s in, from {before} to {after} UTC, or the log has two "
+            f"dives: the longest side, {length_s:.1f} s, is used, and {self.unused} messages of the other are not"
+        )
+        return Note("clock_set", text, self.unused, Severity.WARNING, "to use the other side, cut the log at this time")
+
+
+def spans_a_step(first_ns: int, last_ns: int) -> bool:
+    """Return whether log times span so much that the clock may have been set."""
+    return last_ns - first_ns > nanoseconds(_DAY_S)
+
+
+def one_clock(log_times: Sequence[TimeNs]) -> OneClock | None:
+    """Find the longest part with one clock; None where it was not set. Times are in the order of the file, by channel.
+
+    A clock is set by more than a day, forward or back.
+    """
+    known = [times for times in log_times if times.size]
+    if not known:
+        return None
+    ordered = np.sort(np.concatenate(known))
+    steps = np.flatnonzero(np.diff(ordered) > nanoseconds(_DAY_S))
+    if not steps.size:
+        return None
+    firsts = ordered[np.append(0, steps + 1)]
+    lasts = ordered[np.append(steps, ordered.size - 1)]
+    longest = int(np.argmax(lasts - firsts))
+    # Of the channel with the most messages, the part of its first message was recorded first.
+    often = max(known, key=len)
+    part_of = np.searchsorted(firsts, often, "right") - 1
+    begun = int(part_of[0])
+    others = np.flatnonzero(part_of != begun)
+    next_part = int(part_of[others[0]]) if others.size else (begun + 1) % len(firsts)
+    first_ns = int(firsts[longest])
+    last_ns = int(lasts[longest])
+    used = int(np.searchsorted(ordered, last_ns, "right") - np.searchsorted(ordered, first_ns))
+    return OneClock(
+        first_ns=first_ns,
+        last_ns=last_ns,
+        set_s=float(lasts[begun] - firsts[begun]) / NS_PER_S,
+        from_ns=int(lasts[begun]),
+        to_ns=int(firsts[next_part]),
+        unused=ordered.size - used,
+    )
