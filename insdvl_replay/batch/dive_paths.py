@@ -7,10 +7,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+from urllib.parse import unquote
 
 from insdvl_replay.core.dive_record import LOG_SUFFIXES, TABLE_SUFFIXES
 from insdvl_replay.core.errors import ConfigError, NaturalKey, UserError, natural_key, read_text
 from insdvl_replay.core.path_kinds import result_hint, result_named
+from insdvl_replay.core.urls import FETCHED, shown_url, url_parts
 from insdvl_replay.results.folder import is_result
 
 LIST_SUFFIX: Final = ".txt"
@@ -39,7 +41,8 @@ class FoundDive:
     @property
     def name_giver(self) -> Path:
         """The path after which the dive is named: of a remote log, host and path of its URL."""
-        return Path("/", *self.url.partition("://")[2].partition("?")[0].split("/")) if self.url else self.path
+        place = shown_url(self.url).partition("://")[2].removesuffix("?...")
+        return Path("/", *place.split("/")) if self.url else self.path
 
 
 def shared_settings(dives: Sequence[FoundDive], command: str) -> Path | None:
@@ -72,7 +75,7 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
     - a .txt file that names one of these on each line, seen from its own folder; ``#`` begins a comment; where no
       line can be a path, it is a file like any other;
     - a .toml manifest, ``dives.toml#TAG`` for its dives with a tag;
-    - a URL of a log.
+    - a URL of a log: https, http, s3, gs or file.
 
     Hidden folders are left out. Where a folder or a pattern stands for logs that differ in their ending alone, they are
     one log before and after it was converted, and one of them is taken, .mcap first. Result folders are dives if
@@ -96,6 +99,27 @@ def find_dives(names: Sequence[str], base: Path = Path(), *, results: bool = Fal
     return list(found.values())
 
 
+def dive_of_url(url: str, sha256: str = "", settings: Path | None = None) -> FoundDive:
+    """Return the dive of a URL, by its name alone; nothing is opened.
+
+    Raises
+    ------
+    ConfigError
+        Logs of such URLs are not fetched.
+    """
+    parts = url_parts(url)
+    if parts is None:
+        text = f"is no URL of a log: only those of {', '.join(FETCHED)} are fetched, and no chains (::)"
+        raise ConfigError(text, "fetch it with another program, and name the file", shown_url(url))
+    if parts.scheme == "file":
+        if parts.netloc not in ("", "localhost"):
+            raise ConfigError("names another computer", "file:///the/whole/path", shown_url(url))
+        return FoundDive(Path(unquote(parts.path)), "", sha256, settings)
+    from insdvl_replay.logs.formats.remote import remote_name
+
+    return FoundDive(remote_name(url), url, sha256, settings)
+
+
 def _natural(path: Path) -> tuple[NaturalKey, ...]:
     return tuple(map(natural_key, path.parts))
 
@@ -104,9 +128,7 @@ def _meant(name: str, base: Path, *, results: bool, lists: bool = True) -> list[
     path, (listing, _, tag) = base / name, name.partition("#")
     manifest = base / listing
     if "://" in name:
-        from insdvl_replay.logs.formats.remote import remote_name
-
-        return [FoundDive(remote_name(name), name)]
+        return [dive_of_url(name)]
     if lists and manifest.suffix == MANIFEST_SUFFIX and manifest.is_file():
         from insdvl_replay.batch.manifest import manifest_dives
 

@@ -1,6 +1,6 @@
 """Manifests: TOML files that list dives with their digests, licences, settings and tags.
 
-A dive is a path relative to the manifest, or a URL that fsspec knows. A URL needs the digest of its log, so that the
+A dive is a path relative to the manifest, or a URL. A URL needs the digest of its log, so that the
 same manifest always means the same dives.
 """
 
@@ -13,13 +13,13 @@ from urllib.parse import urlsplit
 
 from msgspec import Meta, Struct
 
-from insdvl_replay.batch.dive_paths import FoundDive
+from insdvl_replay.batch.dive_paths import FoundDive, dive_of_url
 from insdvl_replay.core.config_file import SECTIONS, converted, read_toml
-from insdvl_replay.core.errors import ConfigError, LogError, UserError, listed
+from insdvl_replay.core.errors import ConfigError, LogError, UserError, error_context, listed
 from insdvl_replay.core.path_kinds import require_kind_of_toml
 from insdvl_replay.core.runtime import parallel_map, track_progress
 from insdvl_replay.logs.formats.recording import open_recording
-from insdvl_replay.logs.formats.remote import StalledError, fetched, file_digest, is_url, remote_name
+from insdvl_replay.logs.formats.remote import StalledError, fetched, file_digest
 
 _EXAMPLE: Final = '[[dive]] path = "dive.mcap" or url = "https://..." with sha256'
 
@@ -58,25 +58,25 @@ def manifest_dives(file: Path, tag: str = "") -> list[FoundDive]:
     for number, dive in enumerate(manifest.dive, 1):
         if bool(dive.path) == bool(dive.url) or (dive.url and not dive.sha256):
             raise ConfigError(f"{file}: dive {number}: needs a path, or a url with its sha256", _EXAMPLE)
-        if dive.url and not is_url(dive.url):
-            raise ConfigError(f"{file}: dive {number}: {dive.url} is not a URL", _EXAMPLE)
     chosen = [dive for dive in manifest.dive if not tag or tag in dive.tags]
     if not chosen:
         tags = sorted({tag for dive in manifest.dive for tag in dive.tags})
         raise ConfigError(f"{file}: no dive has the tag '{tag}'", f"its tags are {listed(tags)}" if tags else _EXAMPLE)
-    return [
-        FoundDive(
-            remote_name(dive.url) if dive.url else file.parent / dive.path,
-            dive.url,
-            dive.sha256.lower(),
-            file.parent / dive.settings if dive.settings else None,
-        )
-        for dive in chosen
-    ]
+    return [_found(dive, file) for dive in chosen]
 
 
-def fetch_dives(dives: Sequence[FoundDive]) -> list[FoundDive]:
+def _found(dive: ManifestDive, file: Path) -> FoundDive:
+    sha256, settings = dive.sha256.lower(), file.parent / dive.settings if dive.settings else None
+    if dive.url:
+        with error_context(file):
+            return dive_of_url(dive.url, sha256, settings)
+    return FoundDive(file.parent / dive.path, "", sha256, settings)
+
+
+def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:
     """Fetch remote logs and compare digests; a dive that cannot be had, or is another, gets its error.
+
+    Offline, those of earlier commands are used, and nothing is fetched.
 
     A server that stalled is not asked for other dives.
     """
@@ -88,7 +88,7 @@ def fetch_dives(dives: Sequence[FoundDive]) -> list[FoundDive]:
             if dive.url and host in stalled:
                 raise LogError("its server stalled before", "try again later", dive.url)
             if dive.url:
-                return replace(dive, path=fetched(dive.url, dive.sha256, stopped.is_set))
+                return replace(dive, path=fetched(dive.url, dive.sha256, stopped.is_set, offline=offline))
             if dive.sha256 and dive.path.exists() and (digest := _digest(dive.path)) != dive.sha256:
                 text = f"its SHA-256 is {digest}; the manifest says {dive.sha256}"
                 raise LogError(text, "restore the log", dive.path)

@@ -13,6 +13,7 @@ import typer
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.messages import log_failure, log_findings, log_info, log_notes, log_to_stderr, write_stdout
 from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.urls import shown_url
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.dive_paths import FoundDive
@@ -40,6 +41,7 @@ def inspect(
     allow_damaged: Annotated[
         bool, typer.Option("--allow-damaged", help="Do not count damage as a blocker; a note counts what is lost.")
     ] = False,
+    offline: opt.Offline = False,
     one_dive: opt.OneDive = False,
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
@@ -87,8 +89,9 @@ def inspect(
     configs = {file: load(file) for file in {None, *(dive.settings for dive in found)}}
     if format_ == "html" and len(found) > 1 and not one_dive:
         raise ConfigError(f"--format html: is a page of one dive, found {len(found)}", "name one log")
-    if is_whole or one_dive:
-        found = fetch_with_progress(found)
+    is_fetched = is_whole or one_dive or offline
+    if is_fetched:
+        found = fetch_with_progress(found, offline=offline)
     dives = [found] if one_dive else [[dive] for dive in found]
     inventories: list[Inventory] = []
     inspected: list[Sequence[Path]] = []
@@ -97,7 +100,7 @@ def inspect(
         try:
             dive = usable_paths(files)
             with progress(f"inspecting {dive[0].name}"):
-                if first.url and not (is_whole or one_dive):
+                if first.url and not is_fetched:
                     inventory = inspect_summary(first.url, configs[first.settings])
                 else:
                     inventory = inspect_log(dive, configs[first.settings], deep=is_whole, allow_damaged=allow_damaged)
@@ -107,7 +110,7 @@ def inspect(
         if format_ != "json":
             arguments = shlex.join(
                 [
-                    *(file.url or str(file.path) for file in files),
+                    *(shown_url(file.url) if file.url else str(file.path) for file in files),
                     *(["--one-dive"] if one_dive else []),
                     *(["--preset", preset] if preset else []),
                     *(text for path in opt.settings_files(first.settings, config) for text in ("-c", str(path))),
@@ -191,6 +194,7 @@ def calibrate(
     ] = False,
     format_: opt.PrintedAs = "table",
     allow_damaged: opt.AllowDamaged = False,
+    offline: opt.Offline = False,
     allow_code: opt.AllowCode = False,
     one_dive: opt.OneDive = False,
     force: opt.Force = False,
@@ -228,7 +232,7 @@ def calibrate(
     for file in (output, page_file):
         if file is not None:
             require_replaceable_file(file, force=force)
-    logs_found = fetch_with_progress(logs_found)
+    logs_found = fetch_with_progress(logs_found, offline=offline)
     with progress("calibrating", CALIBRATION, compiling()):
         dives, failed = _read(logs_found, resolved, verbose, allow_damaged=allow_damaged, one_dive=one_dive)
         if not dives:
@@ -378,6 +382,7 @@ def window(
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     format_: opt.PrintedAs = "table",
+    offline: opt.Offline = False,
     force: opt.Force = False,
     verbose: opt.Verbose = 0,
     color: opt.Colored = "auto",
@@ -402,7 +407,7 @@ def window(
     own = shared_settings(found, "study window")
     given = [*settings, *opt.span_settings(start, end)]
     resolved = load_config(preset, opt.settings_files(own, config), given, allow_code=True).without_code()
-    found = fetch_with_progress(found)
+    found = fetch_with_progress(found, offline=offline)
     codes = [log_failure(dive.error, verbose) for dive in found if dive.error is not None]
     dives = [dive.path for dive in found if dive.error is None]
     if not dives:

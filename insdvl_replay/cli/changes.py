@@ -175,6 +175,7 @@ def check(
     preset: opt.Preset = None,
     settings: opt.Settings = [],
     allow_damaged: opt.AllowDamaged = False,
+    offline: opt.Offline = False,
     allow_code: opt.AllowCode = False,
     format_: Annotated[opt.CheckFormat, typer.Option("--format", help="Output format.")] = "text",
     output: Annotated[
@@ -260,7 +261,9 @@ def check(
         histories=histories,
     )
     replayed = partial(outcomes, jobs=jobs, scheduler=scheduler, force=True, rerun=rerun)
-    checked = checked_dives(chosen, fetch_with_progress(found_dives), results, options, replayed, configs)
+    checked = checked_dives(
+        chosen, fetch_with_progress(found_dives, offline=offline), results, options, replayed, configs
+    )
     codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
     if update:
         if all(gate.expected is None for gate in chosen.gates):

@@ -13,7 +13,16 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from insdvl_replay.core.errors import LogError, Note, UserError, most_like, visible, visible_lines, without_commands
+from insdvl_replay.core.errors import (
+    LogError,
+    Note,
+    UserError,
+    as_shown,
+    most_like,
+    visible,
+    visible_lines,
+    without_commands,
+)
 
 INTERNAL_ERROR = 4
 USAGE = 2
@@ -48,7 +57,7 @@ def write_stdout(text: str, *, commands: bool = False) -> None:
 def log_to_stderr(text: str) -> None:
     """Report something that is not a result, on one line."""
     with suppress(OSError):  # stderr is closed
-        print(without_commands(visible(text)), file=sys.stderr, flush=True)
+        print(without_commands(visible(as_shown(text))), file=sys.stderr, flush=True)
 
 
 def log_info(text: str) -> None:
@@ -68,7 +77,7 @@ def log_failure(error: Exception, verbosity: int) -> int:
     if verbosity >= 2:
         trace = "".join(traceback.format_exception(error))
         with suppress(OSError):
-            print(without_commands(visible_lines(trace)), end="", file=sys.stderr, flush=True)
+            print(without_commands(visible_lines(as_shown(trace))), end="", file=sys.stderr, flush=True)
     code, message, hint = _explained(error)
     log_to_stderr(f"error: {message}{_hinted(hint)}")
     return code

@@ -87,6 +87,10 @@ Start = Annotated[
 End = Annotated[
     float | None, typer.Option("--end", metavar="T", help="End here, in seconds from the first IMU sample.")
 ]
+Offline = Annotated[
+    bool,
+    typer.Option("--offline", help="Fetch nothing: of URLs, use the logs that earlier commands have fetched."),
+]
 AllowDamaged = Annotated[
     bool, typer.Option("--allow-damaged", help="Use the readable part of a damaged log; a note counts what is lost.")
 ]

@@ -47,6 +47,7 @@ def run(
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
     tables: opt.ChosenTables = [],
     allow_damaged: opt.AllowDamaged = False,
+    offline: opt.Offline = False,
     allow_code: opt.AllowCode = False,
     one_dive: opt.OneDive = False,
     control: Annotated[
@@ -164,11 +165,13 @@ def run(
         from insdvl_replay.cli.changes import answer_against
 
         both = options, replace(options, config=changed.get(None, options.config))
-        sides = plan_both_sides(fetch_with_progress(found), output, both, (configs, changed), one_dive=one_dive)
+        sides = plan_both_sides(
+            fetch_with_progress(found, offline=offline), output, both, (configs, changed), one_dive=one_dive
+        )
         dives = [job for _, planned in sides for job in planned]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
-    dives = plan_jobs(fetch_with_progress(found), output, options, configs, one_dive=one_dive)
+    dives = plan_jobs(fetch_with_progress(found, offline=offline), output, options, configs, one_dive=one_dive)
     alone = len(dives) == 1
     # Tables over all dives are printed once all are done, and so is what cannot be printed dive by dive.
     at_the_end = format_ in ("json", "csv", "html") or set(tables) in ({*TOGETHER}, *({name} for name in TOGETHER))

@@ -137,12 +137,12 @@ def progress(
         yield paused
 
 
-def fetch_with_progress(dives: "Sequence[FoundDive]") -> "list[FoundDive]":
+def fetch_with_progress(dives: "Sequence[FoundDive]", *, offline: bool = False) -> "list[FoundDive]":
     """Fetch the remote logs of dives, and show the progress; each dive that cannot be had has its error."""
     from insdvl_replay.batch.manifest import fetch_dives
 
     with progress("fetching logs") if any(dive.url for dive in dives) else nullcontext():
-        return fetch_dives(dives)
+        return fetch_dives(dives, offline=offline)
 
 
 def compiling() -> str:

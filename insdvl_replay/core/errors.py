@@ -19,6 +19,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
+from insdvl_replay.core.urls import without_access
 from insdvl_replay.core.words import Severity
 
 # Share of letters that a misspelled name has in common with what was meant; of others it is no use to speak.
@@ -34,6 +35,21 @@ _OLD_COMMAND: Final = re.compile(r"#(?=#\w*\[)")
 _MOST_BYTES: Final = 1 << 24
 
 
+_NAMES: Final[dict[str, str]] = {}
+
+
+def show_as(path: Path, name: str) -> None:
+    """Have errors and messages name a file otherwise: a fetched log by its URL, which people know."""
+    _NAMES[str(path)] = name
+
+
+def as_shown(text: str) -> str:
+    """Return a text with the names of files that people know, and URLs without what gives access to them."""
+    for path, name in _NAMES.items():
+        text = text.replace(path, name)
+    return without_access(text)
+
+
 class UserError(Exception):
     """One sentence with file, place and value, and a hint with something to copy.
 
@@ -43,12 +59,12 @@ class UserError(Exception):
     exit_code = 2
 
     def __init__(self, what: str, hint: str = "", *where: object) -> None:
-        self.what = what
-        self.hint = hint
-        self.where = tuple(map(str, where))
+        self.what = as_shown(what)
+        self.hint = as_shown(hint)
+        self.where = tuple(as_shown(str(place)) for place in where)
         super().__init__(self.message)
-        if hint:
-            self.add_note(f"hint: {hint}")  # for those who see it raised in Python
+        if self.hint:
+            self.add_note(f"hint: {self.hint}")  # for those who see it raised in Python
 
     @property
     def message(self) -> str:
@@ -57,7 +73,7 @@ class UserError(Exception):
 
     def inside(self, *known: object) -> str:
         """Return the sentence without the places that the reader knows already."""
-        places = {str(place) for place in known}
+        places = {as_shown(str(place)) for place in known}
         return ": ".join((*(place for place in self.where if place not in places), self.what))
 
     def __reduce__(self) -> tuple[type["UserError"], tuple[str, ...]]:

@@ -3,9 +3,10 @@
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ class LogServer:
         self.has_tags = True
         self.changes = False  # with every answer
         self.flips = False  # one bit of what it sends
+        self.is_endless = False  # sends without an end and without a length
+        self.drips_s = 0.0  # between single bytes
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -66,6 +69,13 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_header("ETag", f'"{hash(log)}-{len(told.asked) * told.changes}"')
         self.end_headers()
         if not with_content:
+            return
+        if told.is_endless or told.drips_s:
+            self.close_connection = True
+            with suppress(OSError):  # the client went away
+                for byte in content if told.drips_s else repeat(0):
+                    self.wfile.write(bytes([byte]) if told.drips_s else bytes(1 << 16))
+                    time.sleep(told.drips_s)
             return
         if told.stalls:
             time.sleep(2.0)

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import os
+import re
 import time
 from collections.abc import Iterator
 from io import BytesIO
@@ -19,7 +20,7 @@ from insdvl_replay.batch.dive_paths import find_dives
 from insdvl_replay.batch.manifest import fetch_dives
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.errors import LogError, UserError
+from insdvl_replay.core.errors import ConfigError, LogError, UserError
 from insdvl_replay.inspection.survey import inspect_log, inspect_summary
 from insdvl_replay.logs.formats import remote
 from insdvl_replay.logs.formats.remote import cache_folder, fetched
@@ -106,7 +107,7 @@ def test_nothing_is_kept_of_a_server_that_misbehaves(
     assert not kept(cache)
 
 
-@pytest.mark.parametrize("url", ["memory://dives/none.mcap", "unknown://x", "https://", "http://127.0.0.1:9/x.mcap"])
+@pytest.mark.parametrize("url", ["http://127.0.0.1:9/x.mcap", "http://[::1]:9/x.mcap"])
 def test_what_cannot_be_fetched_is_an_error_of_that_dive(tmp_path: Path, cache: Path, url: str) -> None:
     (tmp_path / "a.mcap").write_bytes(LOG)
     first, second = fetch_dives(
@@ -118,9 +119,133 @@ def test_what_cannot_be_fetched_is_an_error_of_that_dive(tmp_path: Path, cache: 
     assert not kept(cache)
 
 
-def test_a_url_is_a_dive(server: LogServer, tmp_path: Path) -> None:
-    assert run_command_line(["run", f"{server.url}/dive.mcap", "--starts", "1", "-o", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "dive" / "report.json").is_file()
+OTHER_URLS = (
+    *(
+        "memory://dives/none.mcap",
+        "unknown://x",
+        "s3://",
+        "http://user:s3c/ret@x/y",
+        "ftp://127.0.0.1/x.mcap",
+        "https://",
+        "://x",
+        "http://[x/y.mcap",
+    ),
+    *("reference://dive.mcap::file:///refs.json", "zip://a.mcap::http://127.0.0.1:9/x.zip"),
+    *("simplecache::http://127.0.0.1:9/x.mcap", "http::https://x/y.mcap", "file://elsewhere/x.mcap"),
+)
+
+
+@pytest.mark.parametrize("url", OTHER_URLS)
+@pytest.mark.parametrize("place", ["argument", "list.txt", "dives.toml"])
+def test_other_urls_and_chains_are_refused_by_name(url: str, place: str, tmp_path: Path) -> None:
+    name = url
+    if place == "list.txt":
+        (tmp_path / place).write_text(f"{url}\n")
+        name = str(tmp_path / place)
+    elif place == "dives.toml":
+        name = manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"')
+    with pytest.raises(ConfigError) as raised:
+        find_dives([name])
+    assert raised.value.hint
+
+
+def test_a_url_of_a_file_is_that_file(tmp_path: Path, cache: Path) -> None:
+    (tmp_path / "a dive.mcap").write_bytes(LOG)
+    url = f"file://{tmp_path}/a%20dive.mcap"
+    (dive,) = fetch_dives(find_dives([url]))
+    assert (dive.path, dive.error) == (tmp_path / "a dive.mcap", None)
+    (dive,) = fetch_dives(find_dives([manifest(tmp_path, f'url = "{url}"\nsha256 = "{WRONG}"')]))
+    assert isinstance(dive.error, LogError)
+    assert not cache.exists()
+
+
+def test_a_transfer_ends_at_the_longest_log_and_time(
+    server: LogServer, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    url = f"{server.url}/dive.mcap"
+    monkeypatch.setenv("INSDVL_REPLAY_FETCH_GB", "1e-5")
+    with pytest.raises(LogError, match=r"has .* GB: logs of more than 1e-05 GB are not fetched"):
+        fetched(url, SHA256)
+    server.is_endless = True
+    server.has_length = False
+    with pytest.raises(LogError, match="logs of more than 1e-05 GB are not fetched") as raised:
+        fetched(url, SHA256)
+    assert "INSDVL_REPLAY_FETCH_GB" in raised.value.hint
+    monkeypatch.setenv("INSDVL_REPLAY_FETCH_GB", "1")
+    monkeypatch.setenv("INSDVL_REPLAY_FETCH_HOURS", "0.0001")
+    server.drips_s = 0.1
+    with pytest.raises(LogError, match=r"it takes longer than 0\.36 s"):
+        fetched(url, SHA256)
+    assert not kept(cache)
+    monkeypatch.setenv("INSDVL_REPLAY_FETCH_HOURS", "six")
+    with pytest.raises(ConfigError, match="INSDVL_REPLAY_FETCH_HOURS=six"):
+        fetched(url, SHA256)
+
+
+def test_an_inspection_ends_where_a_server_drips(server: LogServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote, "ANSWERED_S", 0.3)
+    server.drips_s = 0.1
+    with pytest.raises(LogError, match=r"it takes longer than 0\.3 s"):
+        inspect_summary(f"{server.url}/dive.mcap", Config())
+
+
+def test_offline_nothing_is_asked_for(server: LogServer, capsys: pytest.CaptureFixture[str]) -> None:
+    url = f"{server.url}/dive.mcap"
+    command = ["inspect", url, "--offline", "--format", "json"]
+    assert run_command_line(command) == 3
+    assert "is not kept from an earlier command" in capsys.readouterr().err
+    assert not server.asked
+    fetched(url)
+    server.asked.clear()
+    assert run_command_line(command) == 0
+    assert not server.asked
+
+
+def test_only_their_owner_reads_logs_that_were_fetched(server: LogServer, cache: Path) -> None:
+    path = fetched(f"{server.url}/dive.mcap", SHA256)
+    assert path.parent.parent.stat().st_mode & 0o777 == path.parent.stat().st_mode & 0o777 == 0o700
+    assert [file.stat().st_mode & 0o777 for file in kept(cache)] == [0o600, 0o600]
+
+
+@pytest.mark.parametrize("command", ["run", "inspect", "calibrate"])
+def test_nothing_that_gives_access_is_printed(
+    command: str, server: LogServer, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    host = server.url.removeprefix("http://")
+    for url in (
+        f"http://user:s3cret@{host}/none.mcap?X-Sig=SIGNED&b=1#FRAG",
+        "http://user:s3c/ret@127.0.0.1:9/x?SIGNED",
+    ):
+        more = ["--rerun"] if command == "run" else []
+        output = [] if command == "inspect" else ["-o", str(tmp_path / "out.toml")]
+        assert run_command_line([command, url, *output, *more, "-vv"]) in (2, 3)
+        printed = "".join(capsys.readouterr())
+        assert "error: http://127.0.0.1" in printed
+        assert not {word for word in ("s3c", "ret@", "SIGNED", "FRAG") if word in printed}, printed
+
+
+def test_a_fault_of_a_fetched_log_names_its_url(
+    server: LogServer, tmp_path: Path, cache: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    server.logs["/dive.mcap?sig=SIGNED"] = LOG[:100]
+    url = f"{server.url}/dive.mcap"
+    out = tmp_path / "out"
+    assert run_command_line(["run", f"{url}?sig=SIGNED", "-o", str(out)]) == 3
+    printed = "".join(capsys.readouterr())
+    assert f"{url}?..." in printed
+    assert str(cache) not in printed
+    assert "SIGNED" not in printed
+
+
+def test_a_url_is_a_dive_whose_results_hold_nothing_that_gives_access(server: LogServer, tmp_path: Path) -> None:
+    server.logs["/dive.mcap?sig=SIGNED"] = LOG
+    url = f"http://user:s3cret@{server.url.removeprefix('http://')}/dive.mcap?sig=SIGNED"
+    out = tmp_path / "out"
+    assert run_command_line(["run", url, "-o", str(out), "-q", "--starts", "1"]) == 0
+    assert (out / "dive" / "report.json").is_file()
+    for file in out.rglob("*"):
+        assert file.is_dir() or not {b"s3cret", b"SIGNED"} & set(re.findall(b"s3cret|SIGNED", file.read_bytes()))
+        assert "s3cret" not in file.name
 
 
 def test_a_second_check_asks_once_for_each_dive_and_reads_no_log(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
-        "--allow-damaged", "--allow-code", "--one-dive", "--control", "--tum", "--kml", "--geojson",
+        "--allow-damaged", "--offline", "--allow-code", "--one-dive", "--control", "--tum", "--kml", "--geojson",
         "--history <csv|parquet>", "--lake DIR", "--against KEY=VALUE", "--fail-on worse|P%", "--strict",
         "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
@@ -30,21 +30,21 @@ DOCUMENTED = {
     ],
     "check": [
         "GATES", "[DIVE]...", "--update", "--results DIR", "-c, --config FILE", "--preset NAME",
-        "--set KEY=VALUE", "--allow-damaged", "--allow-code",
+        "--set KEY=VALUE", "--allow-damaged", "--offline", "--allow-code",
         "--format <text|md|json|junit|github|html>", "--output FILE", "--summary-file FILE", "--only GATE",
         "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
     ],
     "inspect": [
         "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
-        "--format <table|json|csv|md|latex|html>", "--allow-damaged", "--one-dive", "--force", "-v, --verbose",
-        "--color <auto|always|never>", "-h, --help",
+        "--format <table|json|csv|md|latex|html>", "--allow-damaged", "--offline", "--one-dive", "--force",
+        "-v, --verbose", "--color <auto|always|never>", "-h, --help",
     ],
     "calibrate": [
         "LOG...", "-o, --output FILE", "--page FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",
         "--only NAMES", "--reference", "--delays <each|one>", "--mounting <known|unknown>", "--hold-out SHARE|DIVE",
-        "--even-if-worse", "--format <table|json|csv|md|latex>", "--allow-damaged", "--allow-code", "--one-dive",
-        "--force",
+        "--even-if-worse", "--format <table|json|csv|md|latex>", "--allow-damaged", "--offline", "--allow-code",
+        "--one-dive", "--force",
         "-v, --verbose", "--color <auto|always|never>", "-h, --help",
     ],
     "figure": [

@@ -1,26 +1,37 @@
 """Remote logs: fetched once and kept by their digest, or looked at by the summary at their end.
 
 A server is asked once whether a log that is kept is still the one it has. What it sends is kept only if all of it came,
-nothing changed meanwhile, and the digest is the one that is wanted.
+nothing changed meanwhile, and the digest is the one that is wanted. Whatever a server does, a transfer ends.
+
+Environment
+-----------
+XDG_CACHE_HOME : folder in which `insdvl-replay` keeps what was fetched; default ``~/.cache``.
+INSDVL_REPLAY_FETCH_GB : the longest log that is fetched; default 20.
+INSDVL_REPLAY_FETCH_HOURS : the longest transfer of a log; default 6.
+INSDVL_REPLAY_OFFLINE=1 : nothing is fetched, as with ``--offline``.
 """
 
 import errno
 import hashlib
 import json
+import math
 import os
 import re
 import shutil
 import struct
 import time
+from base64 import b64encode
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Final
-from urllib.parse import quote, unquote, urlsplit
+from threading import Event, Thread
+from typing import Any, Final, TypeVar
+from urllib.parse import quote, unquote, urlsplit, urlunsplit
 
 from mcap import records
 from mcap.data_stream import ReadDataStream
@@ -28,15 +39,23 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from zlib_ng import zlib_ng
 
-from insdvl_replay.core.errors import ConfigError, LogError
+from insdvl_replay.core.errors import ConfigError, LogError, show_as
 from insdvl_replay.core.extras import install_hint
+from insdvl_replay.core.urls import shown_url, without_access
 from insdvl_replay.logs.formats.log_file import LogChannel
 from insdvl_replay.logs.formats.mcap_file import HEADER_SIZE, MAGIC, log_channels, walk
 
+T = TypeVar("T")
 STALLED_S: float = 30.0  # without a byte from the server
+ANSWERED_S: float = 60.0  # for a short answer: what a server says of a log, or a part of it
+LONGEST_GB: Final = 20.0
+LONGEST_HOURS: Final = 6.0
+_LOOKED_S: Final = 0.2  # between looks whether a transfer is still wanted
 SLOWEST: Final = 1000  # bytes a second, over twice this time
 _CHECK: Final = "check the URL and the connection"
 _FETCH: Final = "fetch it with `insdvl-replay run URL`"
+_ONLINE: Final = "leave out --offline, and INSDVL_REPLAY_OFFLINE"
+_LONGER: Final = "set INSDVL_REPLAY_FETCH_GB to fetch it all the same"
 _STATE: Final = ("size", "ETag", "Last-Modified", "LastModified")  # that a server says of a log, on the web and in S3
 _OF_THIS_DISK: Final = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENOTDIR)
 _LONGEST_NAME: Final = 200  # bytes of a file's name
@@ -61,14 +80,6 @@ class StalledError(LogError):
     """A server did not answer, or stopped in the middle (exit code 3)."""
 
 
-def is_url(name: str) -> bool:
-    """Return whether a name is a URL that can be taken apart."""
-    try:
-        return "://" in name and bool(urlsplit(name).scheme)
-    except ValueError:
-        return False
-
-
 def remote_name(url: str) -> Path:
     """Return the name of the file that a URL is of."""
     name = Path(unquote(urlsplit(url).path)).name
@@ -80,16 +91,26 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "insdvl-replay"
 
 
-def fetched(url: str, sha256: str = "", is_stopped: Callable[[], bool] = lambda: False) -> Path:
+def fetched(
+    url: str, sha256: str = "", is_stopped: Callable[[], bool] = lambda: False, *, offline: bool = False
+) -> Path:
     """Return a remote log from the cache, after fetching it if it is not there or has changed.
 
-    A log whose digest is known is used from the cache where its server cannot be asked.
+    A log whose digest is known is used from the cache where its server cannot be asked. Offline, none is asked.
 
     Raises
     ------
     LogError
-        The log cannot be fetched whole, changes meanwhile, or has another digest.
+        The log cannot be fetched whole, changes meanwhile, is too long, or has another digest.
     """
+    path = _fetched(
+        url, sha256, is_stopped, offline=offline or os.environ.get("INSDVL_REPLAY_OFFLINE", "") not in ("", "0")
+    )
+    show_as(path, shown_url(url))
+    return path
+
+
+def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: bool) -> Path:
     said = cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
     try:
         known = json.loads(said.read_bytes())
@@ -99,47 +120,106 @@ def fetched(url: str, sha256: str = "", is_stopped: Callable[[], bool] = lambda:
     logs, name = cache_folder() / "logs", remote_name(url)
     kept = logs / (sha256 or known_sha256) / name
     is_kept = kept.is_file() and file_digest(kept) == kept.parent.name
+    if offline:
+        if is_kept:
+            return kept
+        raise LogError("is not kept from an earlier command, and offline nothing is fetched", _ONLINE, shown_url(url))
+    longest_bytes, longest_s = _limits()
     system, path = _file_system(url)
     try:
         with _refused(url):
-            state = _state(system, path)
+            state = _within(ANSWERED_S, lambda: _state(system, path))
     except LogError:
         if is_kept and sha256:
             return kept
         raise
     if "size" not in state and not sha256:
         text = "its server does not say how long it is, so that a part of it could be taken for the whole"
-        raise LogError(text, "list it in a manifest with its sha256", url)
+        raise LogError(text, "list it in a manifest with its sha256", shown_url(url))
     # A size alone shows no change.
     if is_kept and known_sha256 == kept.parent.name and known_state == state and (sha256 or len(state) > 1):
         return kept
+    if int(state.get("size", 0)) > longest_bytes:
+        raise LogError(f"has {int(state['size']) / 1e9:.3g} GB: {_too_long(longest_bytes)}", _LONGER, shown_url(url))
     with _refused(url):
-        logs.mkdir(parents=True, exist_ok=True)
+        for kept_folder in (logs, said.parent):
+            kept_folder.mkdir(parents=True, exist_ok=True)
+            kept_folder.chmod(0o700)  # others on this machine may not read the logs
         for left in logs.glob(".part*"):  # by a process that was killed
             with suppress(OSError):  # another one is done
                 if time.time() - left.stat().st_mtime > _ABANDONED_S:
                     shutil.rmtree(left)
         with TemporaryDirectory(dir=logs, prefix=".part") as folder:
             part = Path(folder) / name
-            system.get_file(path, str(part), callback=_watch(state.get("size"), is_stopped))
-            if _state(system, path) != state:
-                raise LogError("changed on its server while it was fetched; nothing was kept", "fetch it again", url)
+            is_over = Event()
+            watch = _watch(state.get("size"), longest_bytes, is_over.is_set)
+            try:
+                _within(longest_s, lambda: system.get_file(path, str(part), callback=watch), is_stopped)
+            finally:
+                is_over.set()
+            if _within(ANSWERED_S, lambda: _state(system, path)) != state:
+                text = "changed on its server while it was fetched; nothing was kept"
+                raise LogError(text, "fetch it again", shown_url(url))
             if (size := part.stat().st_size) != state.get("size", size):
                 text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
-                raise LogError(text, _CHECK, url)
+                raise LogError(text, _CHECK, shown_url(url))
             if (digest := file_digest(part)) != (sha256 or digest):
                 hint = "ask who offers it; nothing was kept"
-                raise LogError(f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}", hint, url)
+                text = f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}"
+                raise LogError(text, hint, shown_url(url))
             kept = logs / digest / name
-            kept.parent.mkdir(exist_ok=True)
+            kept.parent.mkdir(mode=0o700, exist_ok=True)
+            part.chmod(0o600)
             part.replace(kept)
-            said.parent.mkdir(exist_ok=True)
+            part.touch(mode=0o600)
             part.write_text(json.dumps({"sha256": digest, "state": state}))
             part.replace(said)
     return kept
 
 
-def _watch(size: str | int | None, is_stopped: Callable[[], bool]) -> Any:
+def _limits() -> tuple[float, float]:
+    """Return the longest log that is fetched, in bytes, and the longest transfer, in s."""
+    found = []
+    for name, default in (("INSDVL_REPLAY_FETCH_GB", LONGEST_GB), ("INSDVL_REPLAY_FETCH_HOURS", LONGEST_HOURS)):
+        text = os.environ.get(name) or str(default)
+        try:
+            value = float(text)
+        except ValueError:
+            value = 0.0
+        if not 0.0 < value < math.inf:
+            raise ConfigError(f"{name}={text}: must be a number above 0", f"{name}={default:g} is the default")
+        found.append(value)
+    longest_gb, longest_hours = found
+    return longest_gb * 1e9, longest_hours * 3600.0
+
+
+def _too_long(longest_bytes: float) -> str:
+    return f"logs of more than {longest_bytes / 1e9:g} GB are not fetched"
+
+
+def _within(longest_s: float, work: Callable[[], T], is_stopped: Callable[[], bool] = lambda: False) -> T:
+    """Do work that waits for a server, in a thread that is left alone if it takes too long or is no longer wanted."""
+    outcome = Future[T]()
+
+    def do() -> None:
+        try:
+            outcome.set_result(work())
+        except BaseException as error:
+            outcome.set_exception(error)
+
+    Thread(target=do, daemon=True).start()
+    until_s = time.monotonic() + longest_s
+    while not outcome.done():
+        left_s = until_s - time.monotonic()
+        if left_s <= 0.0:
+            raise TimeoutError(f"it takes longer than {longest_s:g} s")
+        if is_stopped():
+            raise InterruptedError("stopped")
+        wait([outcome], timeout=min(left_s, _LOOKED_S))
+    return outcome.result()
+
+
+def _watch(size: str | int | None, longest_bytes: float, is_stopped: Callable[[], bool]) -> Any:
     """Return what fsspec calls with each piece: it ends a transfer that is too long, too slow, or no longer wanted."""
     from fsspec.callbacks import Callback
 
@@ -153,6 +233,8 @@ def _watch(size: str | int | None, is_stopped: Callable[[], bool]) -> Any:
                 raise InterruptedError("stopped")
             if isinstance(size, int) and self.value > size:
                 raise OSError(f"its server sends more than the {size} bytes that it announced")
+            if self.value > longest_bytes:
+                raise OSError(_too_long(longest_bytes))
             if elapsed_s > 2.0 * STALLED_S and self.value < SLOWEST * elapsed_s:
                 raise TimeoutError(f"{self.value} bytes in {elapsed_s:.0f} s")
 
@@ -199,12 +281,13 @@ def _refused(url: str) -> Iterator[None]:
         raise
     except Exception as error:
         cause = error.__cause__ or error
-        reason = " ".join(str(cause).split())[:200] or type(cause).__name__
+        reason = " ".join(without_access(str(cause), url).split())[:200] or type(cause).__name__
         if isinstance(error, OSError) and error.errno in _OF_THIS_DISK and error.filename:
             text = f"cannot be kept in {cache_folder()}: {error.strerror}"
-            raise LogError(text, "make room there, or set XDG_CACHE_HOME", url) from error
+            raise LogError(text, "make room there, or set XDG_CACHE_HOME", shown_url(url)) from error
         kind = StalledError if isinstance(cause, TimeoutError) else LogError
-        raise kind(f"cannot be fetched: {reason}", _CHECK, url) from error
+        hint = _LONGER if "are not fetched" in reason else _CHECK
+        raise kind(f"cannot be fetched: {reason}", hint, shown_url(url)) from error
 
 
 # --- The summary at the end of a log.
@@ -235,11 +318,13 @@ def read_summary(url: str) -> LogSummary:
     tail, size = _tail(url, _FIRST_TAIL)
     tail_start, footer = size - len(tail), len(tail) - len(MAGIC) - _FOOTER.size
     if footer < HEADER_SIZE or not tail.endswith(MAGIC):
-        raise LogError("does not end as an MCAP file; only the summary of these is read from a server", _FETCH, url)
+        raise LogError(
+            "does not end as an MCAP file; only the summary of these is read from a server", _FETCH, shown_url(url)
+        )
     start, offsets_start, crc = _FOOTER.unpack_from(tail, footer)
     end = tail_start + footer - HEADER_SIZE
     if not 0 < start <= end:
-        raise LogError("has no summary", _FETCH, url)
+        raise LogError("has no summary", _FETCH, shown_url(url))
     if start >= tail_start:
         summary = tail[start - tail_start :]
     elif tail_start - start <= _LONGEST_TAIL - len(tail):
@@ -250,15 +335,15 @@ def read_summary(url: str) -> LogSummary:
         start = min((group.group_start for group in groups), default=0)
         end = max((group.group_start + group.group_length for group in groups), default=size)
         if end - start > _LONGEST_TAIL - len(tail):
-            raise LogError(f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}", _FETCH, url)
+            raise LogError(f"its summary has {size - start} bytes, more than {_LONGEST_TAIL}", _FETCH, shown_url(url))
         summary, crc = _part(url, start, end, size), 0
     if crc and zlib_ng.crc32(summary[: -len(MAGIC) - 4]) != crc:
-        raise LogError("the checksum of the summary is wrong", _FETCH, url)
+        raise LogError("the checksum of the summary is wrong", _FETCH, shown_url(url))
     found = _records(url, summary[: end - start])
     schemas = {schema.id: schema for schema in found[Opcode.SCHEMA]}
     channels = {channel.id: channel for channel in found[Opcode.CHANNEL]}
     if not (found[Opcode.STATISTICS] and channels):
-        raise LogError("its summary does not name the channels and their messages", _FETCH, url)
+        raise LogError("its summary does not name the channels and their messages", _FETCH, shown_url(url))
     (statistics, *_) = found[Opcode.STATISTICS]
     return LogSummary(
         size,
@@ -280,9 +365,9 @@ def _records(url: str, content: bytes) -> "defaultdict[int, list[Any]]":
                 stream = BytesIO(content[start + HEADER_SIZE : start + HEADER_SIZE + length])
                 found[kind].append(_RECORDS[kind].read(ReadDataStream(stream)))
     except (McapError, struct.error, UnicodeDecodeError, EOFError) as error:
-        raise LogError(f"its summary cannot be read: {error}", _FETCH, url) from error
+        raise LogError(f"its summary cannot be read: {error}", _FETCH, shown_url(url)) from error
     if is_broken:
-        raise LogError("its summary cannot be read: there are bytes that are no record", _FETCH, url)
+        raise LogError("its summary cannot be read: there are bytes that are no record", _FETCH, shown_url(url))
     return found
 
 
@@ -290,30 +375,63 @@ def _part(url: str, start: int, end: int, size: int) -> bytes:
     """Read a range of a file that had a size before."""
     content, now = _tail(url, end - start, end)
     if now != size:
-        raise LogError("changed on its server while it was read", "try again", url)
+        raise LogError("changed on its server while it was read", "try again", shown_url(url))
     return content
 
 
 def _tail(url: str, count: int, end: int | None = None) -> tuple[bytes, int]:
     """Ask for so many bytes before a place or before the end of a remote file; return them and the file's size."""
-    if urlsplit(url).scheme not in ("http", "https"):
-        system, path = _file_system(url)
-        with _refused(url):
-            size = int(system.info(path)["size"])
-            stop = size if end is None else end
-            return bytes(system.cat_file(path, start=max(stop - count, 0), end=stop)), size
-    from urllib.request import Request, urlopen
+    is_web = urlsplit(url).scheme in ("http", "https")
+    with _refused(url):
+        return _within(ANSWERED_S, lambda: (_tail_of_web if is_web else _tail_of_store)(url, count, end))
 
-    wanted = f"bytes=-{count}" if end is None else f"bytes={end - count}-{end - 1}"
-    request = Request(quote(url, safe=_AS_THEY_ARE), headers={"Range": wanted, "Accept-Encoding": "identity"})
-    with _refused(url), urlopen(request, timeout=STALLED_S) as answer:  # the scheme is known
+
+def _tail_of_store(url: str, count: int, end: int | None) -> tuple[bytes, int]:
+    system, path = _file_system(url)
+    size = int(system.info(path)["size"])
+    stop = size if end is None else end
+    return bytes(system.cat_file(path, start=max(stop - count, 0), end=stop)), size
+
+
+def _tail_of_web(url: str, count: int, end: int | None) -> tuple[bytes, int]:
+    from urllib.error import HTTPError
+    from urllib.request import (
+        HTTPDefaultErrorHandler,
+        HTTPErrorProcessor,
+        HTTPHandler,
+        HTTPRedirectHandler,
+        HTTPSHandler,
+        OpenerDirector,
+        ProxyHandler,
+        Request,
+    )
+
+    opener = OpenerDirector()  # without handlers of other schemes, to which a server may redirect
+    for handler in (
+        ProxyHandler, HTTPHandler, HTTPSHandler, HTTPDefaultErrorHandler, HTTPRedirectHandler, HTTPErrorProcessor,
+    ):  # fmt: skip
+        opener.add_handler(handler())
+    parts = urlsplit(url)
+    login, _, host = parts.netloc.rpartition("@")
+    headers = {"Accept-Encoding": "identity"}
+    headers["Range"] = f"bytes=-{count}" if end is None else f"bytes={end - count}-{end - 1}"
+    asked = quote(urlunsplit(parts._replace(netloc=host, fragment="")), safe=_AS_THEY_ARE)
+    request = Request(asked, headers=headers)
+    if login:
+        request.add_unredirected_header("Authorization", f"Basic {b64encode(unquote(login).encode()).decode()}")
+    try:
+        opened = opener.open(request, timeout=STALLED_S)
+    except HTTPError as error:
+        error.close()  # it holds the connection
+        raise
+    with opened as answer:
         if answer.status != 206:  # a part of the content; a server without ranges sends all
-            raise LogError("its server does not send parts of files", _FETCH, url)
+            raise LogError("its server does not send parts of files", _FETCH, shown_url(url))
         numbers = [int(digits) for digits in re.findall(r"\d+", answer.headers["Content-Range"] or "")]
         if len(numbers) != 3:  # first, last, and all
-            raise LogError("its server does not say which part it sent", _FETCH, url)
+            raise LogError("its server does not say which part it sent", _FETCH, shown_url(url))
         first, last, size = numbers
         content = answer.read(count + 1)
         if not len(content) == last - first + 1 <= count or last + 1 != (end or size):
-            raise LogError("its server sent other bytes than those asked for", _CHECK, url)
+            raise LogError("its server sent other bytes than those asked for", _CHECK, shown_url(url))
         return content, size
