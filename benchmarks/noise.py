@@ -70,9 +70,9 @@ def main() -> None:
         f"{DIVES} simulated lawnmowers of {LENGTH_S:.0f} s a row, with sensors that err as the filters are told "
         f"(beams {BEAM_SD_MPS:g} m/s). Then the beams of {100 * SHARE:g} % of the pings are off by so much (sd); then "
         f"all are {TIMES:g} times as noisy from the middle on. On clean dives *equivalent* is right, on contaminated "
-        "ones *better*. Without the position among its states, a filter drifts more the less it trusts the DVL, though "
-        "its velocity is better. The last columns are median ratios, of the drift in 60 s and of how far NIS / dof is "
-        f"from 1. {machine()}."
+        "ones *better*. A filter drifts more the less it trusts the DVL, though its velocity is better. With the "
+        "position among its states it drifts by as much. The last columns are median ratios, of the drift in 60 s and "
+        f"of how far NIS / dof is from 1. {machine()}."
     )
     columns = ("pings", "aiding", "noise", *WORDS, "drift x", "NIS x")
     part = "\n".join(["# Noise", "", about, "", *table(columns, [f"| {' | '.join(row)} |" for row in rows()])])
