@@ -5,6 +5,7 @@ Every claim is judged by a rule, so that the verdict next to it follows from the
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -14,12 +15,13 @@ from msgspec import Struct
 from insdvl_replay.core.dive_columns import seconds
 from insdvl_replay.core.history import History
 from insdvl_replay.core.result import Result
-from insdvl_replay.core.states import STATES
+from insdvl_replay.core.states import NINE, STATES
 from insdvl_replay.evaluation.convergence import mean_over_nine
 from insdvl_replay.evaluation.ensemble import Ensemble
 from insdvl_replay.replay import Replay
 
 REPEATED = "repeated"
+SAME_PCT_SHOWN = 1.0
 NOT_REPEATED = "**not repeated**"
 INDEX = {state.id: state.index for state in STATES}
 FACTOR = {state.id: state.factor for state in STATES}
@@ -136,6 +138,21 @@ def eight_claims(eight: Replay, straight: Replay) -> Iterator[Claim]:
         f"{ends[0]:.2f} mrad instead of {ends[1]:.2f} mrad at the end",
         ends[0] < 0.5 * ends[1],
     )
+    improvement = by_state(frame(eight.tables.improvement), "aided")["improvement_pct"]
+    accel = improvement[["ba_x", "ba_y", "ba_z"]]
+    yield judged(
+        place,
+        "accelerometer biases are known 54 to 55 % better on all axes",
+        ", ".join(f"{state} {change:.0f} %" for state, change in accel.items()),
+        bool(accel.between(54.0 - 2.0, 55.0 + 2.0).all()),
+    )
+    level = improvement[["phi_n", "phi_e"]]
+    yield judged(
+        place,
+        "levelling is known 51 % better",
+        f"{level['phi_n']:.0f} % and {level['phi_e']:.0f} %",
+        bool((level - 51.0).abs().max() <= 2.0),
+    )
     left = left_share(aided, "bg_z")
     yield judged(place, "the z gyro bias stays unobservable", f"left of its prior sigma: {left:.1%}", left > 0.95)
 
@@ -243,6 +260,56 @@ def observability_claims(study: Result) -> Iterator[Claim]:
         f"rank {rank['velocity']}, with accelerations {rank['velocity + published']}",
         bool(rank["velocity"] == rank["velocity + published"]),
     )
+
+
+def conclusion_claims(straight: pd.DataFrame, eight: pd.DataFrame, grades: Mapping[str, Result]) -> Iterator[Claim]:
+    """Check what the conclusion says of all states, and of sensors of a lower grade.
+
+    Parameters
+    ----------
+    straight, eight : DataFrame
+        The aided filter's rows of the table of improvements, by state.
+    grades : mapping of str to Result
+        Monte Carlo studies by grade of the IMU, the best first.
+    """
+    place = "conclusion"
+    for name, improvement in (("straight line", straight), ("figure-eight", eight)):
+        nine = improvement.loc[[state.id for state in NINE], "improvement_pct"]
+        same = [state for state, change in nine.items() if change < SAME_PCT_SHOWN]
+        yield judged(
+            place,
+            f"accuracy improves on all error states, {name}",
+            f"smallest gain in sigma {nine.min():.1f} %"
+            + (f"; below 1 %: {', '.join(map(str, same))}" if same else ""),
+            not same,
+        )
+    studies = list(grades.items())
+    for (better, with_better), (worse, with_worse) in pairwise(studies):
+        ratio = error_over_better(with_worse, with_better)
+        yield judged(
+            place,
+            f"sensors of a lower grade become usable: {worse} in place of {better}",
+            f"with accelerations, errors of {worse} are {ratio:.1f} times those of {better} without",
+            ratio <= 1.0,
+        )
+    yield Claim(place, "only software is needed", "so it is here: the same readings", REPEATED)
+
+
+def error_over_better(worse: Result, better: Result) -> float:
+    """Return the true errors of the aided filter over those of the baseline with a better IMU.
+
+    It is the geometric mean over the nine states, rms over the runs at the end.
+    """
+    with_accelerations = errors_of(worse, "aided")
+    without = errors_of(better, "baseline")
+    return float(np.exp(np.log(with_accelerations / without).mean()))
+
+
+def errors_of(study: Result, filter_: str) -> pd.Series:
+    """Return the rms errors of a filter at the end, of the nine states."""
+    table = study.tables["montecarlo"]
+    rows = table[(table["filter"] == filter_) & table["state"].isin([state.id for state in NINE])]
+    return rows.set_index("state")["rms_error"]
 
 
 def sea_claims(dives: list[Replay]) -> Iterator[Claim]:

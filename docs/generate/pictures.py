@@ -59,15 +59,14 @@ PICTURES: dict[str, Callable[[], bytes]] = {
 }
 
 
-def study_pictures(ensemble: Ensemble, title: str, window: Result) -> dict[str, Callable[[], bytes]]:
-    """Name the pictures of the studies, as `PICTURES` does those of the samples.
+def ensemble_pictures(ensemble: Ensemble, title: str) -> dict[str, Callable[[], bytes]]:
+    """Name the pictures of the Monte Carlo study, as `PICTURES` does those of the samples.
 
     Parameters
     ----------
     ensemble : Ensemble
         Of the aided filter, over the lawnmower.
     title : str
-    window : Result
     """
     columns = (ensemble.time_s, ensemble.sd, ensemble.error_sd, ensemble.error_mean)
     thinned = [column[::EVERY] for column in columns]
@@ -75,8 +74,12 @@ def study_pictures(ensemble: Ensemble, title: str, window: Result) -> dict[str, 
         f"docs/lawnmower_{name}.svg": partial(ensemble_figure, title, states, *thinned)
         for name, states in ENSEMBLE_PICTURES.items()
     }
-    drawn["docs/window.svg"] = partial(window_figure, window.tables["window"])
     return {name: partial(lambda draw: sheet_svg(draw()), draw) for name, draw in drawn.items()}
+
+
+def window_picture(window: Result) -> dict[str, Callable[[], bytes]]:
+    """Name the picture of the window study."""
+    return {"docs/window.svg": lambda: sheet_svg(window_figure(window.tables["window"]))}
 
 
 def write(pictures: dict[str, Callable[[], bytes]]) -> None:

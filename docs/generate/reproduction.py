@@ -2,19 +2,21 @@
 
     python docs/generate/reproduction.py [FOLDER]
 
-FOLDER holds the eight dives of the AUV Snapir. A test holds the page equal to what this writes.
+FOLDER holds the eight dives of the AUV Snapir, which are not published. Without them, the parts of the page that need
+them stay as they are, and all others are written. A test holds the page equal to what this writes.
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import claims
-import numpy as np
 import pandas as pd
+import paper_tables
 import pictures
+from paper_tables import Compared, percent
 from written import PROJECT, markdown_table, renewed
 
 from insdvl_replay.core.config import Config
@@ -32,8 +34,6 @@ from insdvl_replay.studies.observability import study_observability
 from insdvl_replay.studies.window import study_window
 
 PAGE = PROJECT / "docs" / "reproduction.md"
-PUBLISHED = PROJECT / "docs" / "generate" / "levy_klein_straight.csv"
-"""Levy and Klein, both tables of the straight line."""
 SNAPIR = PROJECT / "examples" / "snapir.toml"
 PAPER_NOISE = SNAPIR.with_name("paper_noise.toml")
 DIVES = PROJECT.parent / "shared" / "data" / "snapir"
@@ -58,12 +58,20 @@ TOGETHER = (
     "convergence_level",
 )  # fmt: skip
 """Evidence that is shown of the eight dives together."""
-SD_WITHIN = 0.05
-"""Standard deviations agree within this share."""
-REACHED_WITHIN_S = 8.0
-"""Convergence times agree within this."""
-MEAN_WITHIN_PCT = 3.0
-"""Mean improvements agree within this many percent."""
+DIVES_NEEDED = 8
+GRADES = (("fog", "fibre-optic"), ("tactical", "tactical"), ("mems", "MEMS"))
+"""IMUs from the best class to the worst, each with the preset of its name."""
+GRADE_SCENARIO = "figure-eight"
+
+
+@dataclass(frozen=True)
+class AtSea:
+    """What the eight dives give."""
+
+    window: Result
+    dives: list[Replay]  # with the paper's noise
+    fitted: list[Replay]  # with fitted noise
+    misplaced: list[Replay]  # with a wrong lever arm
 
 
 @dataclass(frozen=True)
@@ -75,32 +83,47 @@ class Findings:
     ensembles: tuple[Ensemble, ...]
     montecarlo: Result
     fog: dict[tuple[str, str], Result]
-    window: Result
+    grades: dict[str, Result]  # by grade of the IMU
     observability: Result
-    dives: list[Replay]
-    fitted: list[Replay]
-    misplaced: list[Replay]
+    sea: AtSea | None  # None without the dives
 
 
-def find(dives: Path) -> Findings:
-    """Repeat everything."""
-    config, fitted, snapir = load_config(), load_config(file=SNAPIR), load_config(file=[SNAPIR, PAPER_NOISE])
-    misplaced = load_config(file=[SNAPIR, PAPER_NOISE], overrides=MISPLACED)
+def find(folder: Path) -> Findings:
+    """Repeat everything that can be repeated."""
+    config = load_config()
     with_published = load_config(overrides=[PUBLISHED_FILTER])
     montecarlo, ensembles = study_montecarlo("lawnmower", config)
-    paths = sorted(dives.glob("*.mcap"))
     return Findings(
         straight=sample("straight", with_published),
         eight=sample("figure_eight", with_published),
         ensembles=ensembles,
         montecarlo=montecarlo,
         fog={(where, preset): fog_study(where, preset) for where, preset in FOG_STUDIES},
-        window=study_window(paths, snapir),
+        grades={grade: grade_study(grade) for grade, _ in GRADES},
         observability=study_observability("straight", config, earth_rate=False),
+        sea=find_at_sea(folder),
+    )
+
+
+def find_at_sea(folder: Path) -> AtSea | None:
+    """Replay the eight dives; None where they are not all there."""
+    paths = sorted(folder.glob("*.mcap"))
+    if len(paths) != DIVES_NEEDED:
+        return None
+    fitted = load_config(file=SNAPIR)
+    snapir = load_config(file=[SNAPIR, PAPER_NOISE])
+    misplaced = load_config(file=[SNAPIR, PAPER_NOISE], overrides=MISPLACED)
+    return AtSea(
+        window=study_window(paths, snapir),
         dives=[replay_log(path, snapir) for path in paths],
         fitted=[replay_log(path, fitted) for path in paths],
         misplaced=[replay_log(path, misplaced) for path in paths],
     )
+
+
+def grade_study(grade: str) -> Result:
+    """Simulate dives with an IMU of a grade, and its preset."""
+    return study_montecarlo(GRADE_SCENARIO, load_config(preset=grade), imu=grade, runs=FOG_RUNS)[0]
 
 
 def fog_study(scenario: str, preset: str) -> Result:
@@ -114,138 +137,89 @@ def sample(name: str, config: Config) -> Replay:
 
 
 def written(found: Findings) -> str:
-    """docs/reproduction.md as it should be."""
+    """docs/reproduction.md as it should be; what needs the eight dives stays as it is without them."""
+    straight = paper_tables.compared("straight", found.straight)
+    eight = paper_tables.compared("figure_eight", found.eight)
     parts: dict[str, Callable[[], str]] = {
-        name: partial(part, found)
-        for name, part in {
-            "limits": limits,
-            "sigmas": sigmas,
-            "times": times,
-            "eight": eight,
-            "claims": claims_in_words,
-            "tuning": tuning,
-            "verdicts": verdicts,
-            "together": together,
-            "noise": noise,
-            "positions": positions,
-            "geometry": geometry,
-        }.items()
+        "limits": limits,
+        "headline": partial(paper_tables.headline, straight, eight),
+        "tally": partial(paper_tables.tally, straight, eight),
+        "sigmas": partial(paper_tables.sigmas, straight),
+        "times": partial(paper_tables.times, straight),
+        "eight_sigmas": partial(paper_tables.sigmas, eight),
+        "eight_times": partial(paper_tables.times, eight),
+        "contradictions": partial(paper_tables.contradictions, straight, eight),
+        "claims": partial(claims_in_words, found, straight, eight),
+        "grades": partial(grades, found),
+        "tuning": partial(tuning, found),
+        "verdicts": partial(verdicts, [found.straight, found.eight]),
     }
+    if found.sea is not None:
+        parts |= {
+            "claims_at_sea": partial(claims_at_sea, found.sea),
+            "verdicts_at_sea": partial(verdicts, found.sea.dives),
+            "together": partial(together, found.sea),
+            "noise": partial(noise, found.sea),
+            "positions": partial(positions, found.sea),
+            "geometry": partial(geometry, found.sea),
+        }
     return renewed(PAGE.read_text("utf-8"), parts, "make reproduce")
 
 
-def limits(_: Findings) -> str:
+def limits() -> str:
     """Say what counts as agreement."""
     return (
-        f"The tables say *yes* or *repeated* within these limits:\n\n"
-        f"- a sigma within {100 * SD_WITHIN:.0f} %, a time within {REACHED_WITHIN_S:.0f} s, a mean within "
-        f"{MEAN_WITHIN_PCT:.0f} %\n- a claim in words by its rule in [claims.py](generate/claims.py)"
+        f"The tables say *yes* or *repeated* within these limits, and a number beyond them is bold:\n\n"
+        f"- a sigma within {100 * paper_tables.SD_WITHIN:.0f} %, its improvement within "
+        f"{paper_tables.IMPROVEMENT_WITHIN_PCT:.0f} points\n"
+        f"- a time within {paper_tables.REACHED_WITHIN_S:.0f} s, a mean within "
+        f"{paper_tables.MEAN_WITHIN_PCT:.0f} points\n"
+        f"- a claim in words by its rule in [claims.py](generate/claims.py)"
     )
 
 
-def sigmas(found: Findings) -> str:
-    """The straight line's sigmas at the end."""
-    published = pd.read_csv(PUBLISHED).set_index("state")
-    ours = claims.by_state(claims.frame(found.straight.tables.improvement), "aided")
-    there = published["improvement_pct"].fillna(0.0).mean()
-    here = claims.mean_over(found.straight, "improvement")
-    return markdown_table(
-        ("state", "unit", "baseline: paper", "here", "", "aided: paper", "here", "", "improvement: paper", "here"),
-        [
-            *(_sigmas(row, ours.loc[state]) for state, row in published.iterrows()),
-            ("**mean**", *[""] * 7, percent(there), percent(here)),
-        ],
-    )
+def claims_in_words(found: Findings, straight: Compared, eight: Compared) -> str:
+    """What the paper says in words and simulations show, in its order."""
+    table = [
+        *claims.observability_claims(found.observability),
+        *claims.lawnmower_claims(found.ensembles, found.montecarlo),
+        *claims.straight_claims(found.straight),
+        *claims.eight_claims(found.eight, found.straight),
+        *claims.conclusion_claims(straight.improvement, eight.improvement, found.grades),
+    ]
+    return claims_table(table)
 
 
-def _sigmas(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
-    return (
-        str(published.name),
-        str(published["unit"]),
-        f"{published['baseline_sd']:.2f}",
-        f"{ours['baseline_sd']:.2f}",
-        deviation(ours["baseline_sd"], published["baseline_sd"]),
-        f"{published['aided_sd']:.2f}",
-        f"{ours['sd']:.2f}",
-        deviation(ours["sd"], published["aided_sd"]),
-        percent(published["improvement_pct"]),
-        percent(ours["improvement_pct"]),
-    )
+def claims_at_sea(sea: AtSea) -> str:
+    """What the paper says in words and needs dives."""
+    return claims_table([*claims.window_claims(sea.window), *claims.sea_claims(sea.dives)])
 
 
-def times(found: Findings) -> str:
-    """The straight line's times of the nearest approach to the baseline's final sigma, and of the crossing."""
-    published = pd.read_csv(PUBLISHED).set_index("state")
-    ours = claims.by_state(claims.frame(found.straight.tables.convergence), "aided")
-    there = published["convergence_improvement_pct"].fillna(0.0).mean()
-    nearest, crossing = nearest_pct(found.straight), claims.mean_over(found.straight, "convergence")
-    return markdown_table(
-        ("state", "paper [s]", "nearest approach [s]", "agrees", "sooner: paper", "here", "crossing [s]", "sooner"),
-        [
-            *(_times(row, ours.loc[state]) for state, row in published.iterrows()),
-            ("**mean**", "", "", agrees(there, nearest), percent(there), percent(nearest), "", percent(crossing)),
-        ],
-    )
+def claims_table(found: Iterable[claims.Claim]) -> str:
+    """Write claims with their verdicts."""
+    rows = [(claim.place, claim.says, claim.found, claim.verdict) for claim in found]
+    return markdown_table(("where", "the paper says", "here", ""), rows)
 
 
-def nearest_pct(replay: Replay) -> float:
-    """The mean convergence of the aided filter by the nearest approach, as the paper computes it."""
-    return finite(replay.verdicts["aided"].mean_nearest_approach_improvement_pct)
+def grades(found: Findings) -> str:
+    """What accelerations give with IMUs of three classes, and whether they stand for a better IMU."""
+    rows = []
+    better: Result | None = None
+    for grade, words in GRADES:
+        study = found.grades[grade]
+        predicted, true = _improvements(study.tables["montecarlo"])
+        against = "-" if better is None else f"{claims.error_over_better(study, better):.1f}"
+        rows.append((words, grade, predicted, true, against, *_nees(study.tables["verdicts"])))
+        better = study
+    titles = (
+        "IMU", "settings", "predicted", "true", "aided error over that of the better IMU without accelerations",
+        "NEES: baseline", "with accelerations",
+    )  # fmt: skip
+    return markdown_table(titles, rows)
 
 
-def _times(published: pd.Series, ours: pd.Series) -> tuple[str, ...]:
-    there, nearest_s = published["reached_s"], ours["nearest_approach_s"]
-    # The paper prints no time where its improvement is none: the end.
-    expected_s = ours["baseline_s"] if np.isnan(there) else there
-    return (
-        str(published.name),
-        "-" if np.isnan(there) else f"{there:.0f}",
-        f"{nearest_s:.0f}",
-        "yes" if abs(nearest_s - expected_s) <= REACHED_WITHIN_S else "**no**",
-        percent(published["convergence_improvement_pct"]),
-        percent(ours["nearest_approach_improvement_pct"]),
-        f"{ours['reached_s']:.0f}" if ours["status"] == "reached" else str(ours["status"]).replace("_", " "),
-        percent(ours["improvement_pct"]),
-    )
-
-
-def eight(found: Findings) -> str:
-    """The figure-eight's means."""
-    improvement, crossing = (claims.mean_over(found.eight, table) for table in ("improvement", "convergence"))
-    rows = {
-        "mean improvement": (40.0, improvement),
-        "mean convergence, nearest approach": (54.0, nearest_pct(found.eight)),
-        "mean convergence, crossing": (np.nan, crossing),
-    }
-    return markdown_table(
-        ("", "paper", "here", "agrees"),
-        [
-            (name, percent(there), percent(here), "" if np.isnan(there) else agrees(there, here))
-            for name, (there, here) in rows.items()
-        ],
-    )
-
-
-def claims_in_words(found: Findings) -> str:
-    """What the paper says in words, in its order."""
-    return markdown_table(
-        ("where", "the paper says", "here", ""),
-        [(claim.place, claim.says, claim.found, claim.verdict) for claim in _claims(found)],
-    )
-
-
-def _claims(found: Findings) -> Iterator[claims.Claim]:
-    yield from claims.observability_claims(found.observability)
-    yield from claims.window_claims(found.window)
-    yield from claims.lawnmower_claims(found.ensembles, found.montecarlo)
-    yield from claims.straight_claims(found.straight)
-    yield from claims.eight_claims(found.eight, found.straight)
-    yield from claims.sea_claims(found.dives)
-
-
-def verdicts(found: Findings) -> str:
+def verdicts(replays: list[Replay]) -> str:
     """What the paper does not ask: whether the same improvements are real."""
-    replays = [found.straight, found.eight, *found.dives]
     return markdown_table(
         (
             "dive",
@@ -276,20 +250,20 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
         )
 
 
-def together(found: Findings) -> str:
+def together(sea: AtSea) -> str:
     """What the eight dives say together, measured from random starts and while the DVL is withheld."""
     rows = []
     for name in ("windowed", "published"):
-        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in found.dives]
+        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in sea.dives]
         pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
         rows += [_of_eight(name, pooled[quantity]) for quantity in TOGETHER]
     return markdown_table(("filter", "quantity", "candidate over baseline, 95 %", "smaller on", "p", "verdict"), rows)
 
 
-def noise(found: Findings) -> str:
+def noise(sea: AtSea) -> str:
     """The eight dives with the paper's noise, and with the noise that they show."""
     rows = []
-    for noise, dives in (("the paper's", found.dives), ("fitted", found.fitted)):
+    for noise, dives in (("the paper's", sea.dives), ("fitted", sea.fitted)):
         for name in ("windowed", "published"):
             evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in dives]
             pooled = {row.quantity: row for row in pooled_evidence(name, evidence)}
@@ -330,15 +304,15 @@ def _nees(table: pd.DataFrame) -> tuple[str, ...]:
     return tuple(f"{row.mean_nees:.1f}, {row.verdict}" for row in table.itertuples())
 
 
-def positions(found: Findings) -> str:
+def positions(sea: AtSea) -> str:
     """The eight dives together."""
-    errors = claims.position_errors(found.dives).median()
+    errors = claims.position_errors(sea.dives).median()
     return markdown_table(
         ("median of the eight dives", *errors.index), [("position rms [m]", *(f"{error:.2f}" for error in errors))]
     )
 
 
-def geometry(found: Findings) -> str:
+def geometry(sea: AtSea) -> str:
     """The eight dives with the DVL where it is, and where it was once taken to be."""
     return markdown_table(
         ("arm from the IMU to the DVL", "mean NIS of the baseline, median", "windowed worse", "published worse"),
@@ -349,8 +323,8 @@ def geometry(found: Findings) -> str:
                 *(_worse(dives, name) for name in ("windowed", "published")),
             )
             for arm, dives in (
-                ("0.22 m, by the innovations", found.dives),
-                ("1.84 m, from the reference's point", found.misplaced),
+                ("0.22 m, by the innovations", sea.dives),
+                ("1.84 m, from the reference's point", sea.misplaced),
             )
         ],
     )
@@ -361,30 +335,17 @@ def _worse(dives: list[Replay], name: str) -> str:
     return f"{sum(verdict.verdict == 'worse' for verdict in verdicts)} of {len(verdicts)}"
 
 
-def percent(value: float) -> str:
-    """Write a percentage, or a dash."""
-    return "-" if np.isnan(value) else f"{value:.1f} %"
-
-
-def deviation(here: float, there: float) -> str:
-    """Write how far ours is from the paper's, in bold where that is too far."""
-    share = here / there - 1.0
-    text = f"{100.0 * share:+.1f} %"
-    return text if abs(share) <= SD_WITHIN else f"**{text}**"
-
-
-def agrees(there: float, here: float) -> str:
-    """Say whether two means agree."""
-    return "yes" if abs(here - there) <= MEAN_WITHIN_PCT else "**no**"
-
-
 def drawn(found: Findings) -> dict[str, Callable[[], bytes]]:
-    """Name the pictures that belong to the page and to no sample."""
+    """Name the pictures that belong to the page and to no sample; that of the window needs the eight dives."""
     aided = claims.named(found.ensembles, "aided")
-    return pictures.study_pictures(aided, f"aided: {found.montecarlo.title}", found.window)
+    named = pictures.ensemble_pictures(aided, f"aided: {found.montecarlo.title}")
+    return named if found.sea is None else named | pictures.window_picture(found.sea.window)
 
 
 if __name__ == "__main__":
-    all_found = find(Path(sys.argv[1]) if len(sys.argv) > 1 else DIVES)
+    given = Path(sys.argv[1]) if len(sys.argv) > 1 else DIVES
+    all_found = find(given)
+    if all_found.sea is None:
+        sys.stderr.write(f"{given}: has not the eight dives, so the parts that need them stay as they are\n")
     PAGE.write_text(written(all_found), "utf-8")
     pictures.write(drawn(all_found))

@@ -31,6 +31,7 @@ from insdvl_replay.show.document import MISSING, TENFOLD, decimal, percent, sign
 
 AnyAnswer = Answer[EvidenceRow] | Answer[PooledRow]
 AnyCandidate = CandidateAnswer[EvidenceRow] | CandidateAnswer[PooledRow]
+LEAST_SHOWN_PCT: Final = 1.0  # of the convergence that a filter without any change gains
 # By verdict: its colour.
 TONES: Final[dict[str, str]] = {
     Verdict.BETTER: "good",
@@ -198,10 +199,13 @@ def _predicted(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, 
 
     sigma = gained(predicted_pct, "smaller", "larger")
     convergence = gained(candidate.mean_convergence_improvement_pct, "faster", "slower")
+    # The baseline's time is the end, so it gains some convergence on itself.
+    unchanged_pct = finite(candidate.mean_convergence_unchanged_pct)
+    unchanged = f" (unchanged filter: {percent(unchanged_pct)})" if unchanged_pct >= LEAST_SHOWN_PCT else ""
     found = ""
     if finite(predicted_pct) >= NOTABLE_PCT:
         found = f" {on_prediction(candidate.prediction or Prediction.UNDECIDED, evidence, has_reference=known)}."
-    return f"predicted: {sigma} sigma, {convergence} convergence.{found}"
+    return f"predicted: {sigma} sigma, {convergence} convergence{unchanged}.{found}"
 
 
 # --- The answers of reports.
