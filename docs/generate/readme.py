@@ -21,6 +21,9 @@ SAMPLES = ("straight", "figure_eight")
 HEAD = 13
 BAG = PROJECT.parent / "shared" / "data" / "ros1" / "rexrov2_simulated.bag"
 """Of a vehicle that others simulated. It has no licence, so it is not in the project."""
+BLUEYE = PROJECT.parent / "shared" / "data" / "blueye_x3" / "auto_square.mcap"
+"""Of a real vehicle. It has no licence either."""
+VEHICLE = PROJECT / "docs" / "vehicle.md"
 
 
 def printed(folder: Path, *arguments: str) -> str:
@@ -55,6 +58,19 @@ def foreign() -> str:
     return "\n".join(["```console", call, lines[0], *lines[verdict:], grep, arm, "```"])
 
 
+def unknown_vehicle() -> str:
+    """What `run` says of a log of a vehicle that nobody has described."""
+    command = [sys.executable, "-m", "insdvl_replay", "run", BLUEYE.name]
+    environment = {**os.environ, "PYTHONPATH": str(PROJECT)}
+    with TemporaryDirectory() as folder:
+        shutil.copy(BLUEYE, folder)
+        done = subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True, text=True)
+    findings = [
+        line for line in done.stderr.splitlines() if line.startswith(("assumed: ", "found: ", "to repeat it: "))
+    ]
+    return "\n".join(["```text", *findings, "```"])
+
+
 def paper() -> str:
     """The means of the paper beside ours."""
     rows = []
@@ -85,5 +101,12 @@ def written(parts: Mapping[str, Callable[[], str]] = PARTS) -> str:
     return renewed(README.read_text("utf-8"), parts, "make readme")
 
 
+def vehicle_page() -> str:
+    """docs/vehicle.md with what is found of a log of others."""
+    return renewed(VEHICLE.read_text("utf-8"), {"blueye": unknown_vehicle}, "make readme")
+
+
 if __name__ == "__main__":
     README.write_text(written({**PARTS, "foreign": foreign} if BAG.is_file() else PARTS), "utf-8")
+    if BLUEYE.is_file():
+        VEHICLE.write_text(vehicle_page(), "utf-8")

@@ -369,3 +369,10 @@ def test_citation_has_what_it_needs_and_the_version() -> None:
 def test_changelog_reports_of_this_version() -> None:
     first = re.findall(r"^## (\S+)", text_of("CHANGELOG.md"), re.MULTILINE)[0]
     assert first == __version__
+
+
+def test_each_table_of_measurements_has_date_and_commit() -> None:
+    sections = re.split(r"^# ", text_of("benchmarks/RESULTS.md"), flags=re.MULTILINE)[1:]
+    assert len(sections) > 20
+    undated = [part.partition("\n")[0] for part in sections if not re.search(r"20\d\d-\d\d-\d\d, [0-9a-f]{8}\b", part)]
+    assert undated == []
