@@ -6,7 +6,7 @@ change.
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -109,9 +109,9 @@ def _path(name: str, given: object) -> Path:
 
 
 def _paths(given: Paths, name: str = "log") -> list[Path]:
-    if isinstance(given, str | os.PathLike) or not isinstance(given, Sequence):
-        return [_path(name, given)]
-    return [_path(name, part) for part in given]
+    if isinstance(given, Iterable) and not isinstance(given, str | Path | Mapping):
+        return [_path(name, part) for part in given]
+    return [_path(name, given)]
 
 
 def _logs(given: Paths, name: str = "log") -> list[Path]:

@@ -40,6 +40,13 @@ def test_pictures_are_what_the_program_draws(name: str) -> None:
 
 
 @pytest.mark.nightly
+def test_page_of_a_vehicle_shows_what_is_found_of_a_real_one() -> None:
+    if not readme.BLUEYE.is_file():
+        pytest.skip("needs ../shared/data (real logs)")
+    assert readme.vehicle_page() == readme.VEHICLE.read_text("utf-8"), "run `make readme`"
+
+
+@pytest.mark.nightly
 @pytest.mark.all_starts
 def test_readme_shows_what_the_program_makes_of_a_foreign_vehicle(ros1: readme.Path) -> None:
     assert ros1 == readme.BAG.parent
