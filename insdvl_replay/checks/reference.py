@@ -30,7 +30,7 @@ from insdvl_replay.checks.imu import (
     lies_within,
     turned_by,
 )
-from insdvl_replay.checks.sentences import Remark, refusal, warning
+from insdvl_replay.checks.sentences import Remark, ignore_hint, refusal, warning
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import (
     DvlColumns,
@@ -61,6 +61,7 @@ class GyroScale:
     scale: float
     by: str
     tolerance: float
+    by_reference: bool = True
 
     @property
     def off(self) -> float:
@@ -118,7 +119,11 @@ def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFi
         return GyroScale(track.gyro_scale, "the DVL's track and the reference's positions", 1.0 + LARGEST_TRACK_ERROR)
     # In a moving vehicle, the direction of gravity swings with its own acceleration.
     by_gravity = gyro_by_gravity(imu)
-    return GyroScale(by_gravity, "gravity's change of direction", 1.7) if by_gravity is not None else None
+    return (
+        GyroScale(by_gravity, "gravity's change of direction", 1.7, by_reference=False)
+        if by_gravity is not None
+        else None
+    )
 
 
 def _gyro_remarks(
@@ -126,11 +131,14 @@ def _gyro_remarks(
 ) -> Iterator[Remark]:
     count = len(imu.time_ns)
     if found is not None and found.off >= found.tolerance:
-        shown = {"scale": found.scale, "by": found.by}
+        shown = {"scale": found.scale, "by": found.by, "ignore": ignore_hint(by_reference=found.by_reference)}
+        unit = "deg/s" if found.scale > 1.0 else "rad/s"
         if found.scale < 0.0:
             yield warning("imu_gyro_sign", count, **shown)
+        elif found.off > UNIT_WRONG and unit != (settings.angular_rate_unit or "rad/s"):
+            yield refusal("imu_gyro_unit", place, unit=unit, **shown)
         elif found.off > UNIT_WRONG:
-            yield refusal("imu_gyro_unit", place, unit="deg/s" if found.scale > 1.0 else "rad/s", **shown)
+            yield refusal("imu_gyro_scale", place, setting=found.scale * settings.angular_rate_scale, **shown)
         else:
             yield warning("imu_gyro_scale", count, setting=found.scale * settings.angular_rate_scale, **shown)
     if by_attitude is None or by_attitude.excursion.max() < 3.0 * DEG:  # attitudes that swing less say nothing

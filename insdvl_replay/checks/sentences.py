@@ -19,6 +19,7 @@ _GRAVITY: Final = (
 _GYRO: Final = "the angular rate is {scale:.3g} times the rate derived from {by}, in the whole dive"
 _DVL_SCALE: Final = "the DVL's velocity is {scale:.3f} times the reference's, in the whole dive"
 _ZERO_HINT: Final = "set depth.surface_height_m, the height of depth 0 above the ellipsoid, or leave it out"
+_IGNORE: Final = "; if the reference is wrong: reference.ignore = true"
 _OTHER_FIELD: Final = 'to read another field: imu.{name} = "field.path"'
 
 _SENTENCES: Final = {
@@ -47,18 +48,19 @@ _SENTENCES: Final = {
     ),
     "imu_gyro_sign": (
         _GYRO,
-        'imu.axes = "flu" turns y and z; if the accelerometers have other axes, set imu.specific_force_axes too',
+        'imu.axes = "flu" turns y and z; if the accelerometers have other axes, set imu.specific_force_axes '
+        "too{ignore}",
     ),
-    "imu_gyro_unit": (_GYRO, 'imu.angular_rate_unit = "{unit}"'),
-    "imu_gyro_scale": (_GYRO, "imu.angular_rate_scale = {setting:.3g}"),
+    "imu_gyro_unit": (_GYRO, 'imu.angular_rate_unit = "{unit}"{ignore}'),
+    "imu_gyro_scale": (_GYRO, "imu.angular_rate_scale = {setting:.3g}{ignore}"),
     "imu_gyro_contradiction": (
         "the angular rate does not agree with the change of the reference's attitude (correlation {correlation:.2f})",
-        "check imu.axes, reference.axes, imu.stamp and reference.stamp",
+        f"check imu.axes, reference.axes, imu.stamp and reference.stamp{_IGNORE}",
     ),
     "imu_gyro_axis": (
         "the angular rate {axis} has the opposite sign of the reference's (correlation {correlation:.2f}), but another "
         "axis agrees",
-        "check imu.axes, and the order of the fields in imu.angular_rate",
+        f"check imu.axes, and the order of the fields in imu.angular_rate{_IGNORE}",
     ),
     # The DVL.
     "dvl_too_fast": ("the largest component of a ping is {speed_mps:g} m/s (median of all pings)", _UNIT_HINT),
@@ -81,14 +83,14 @@ _SENTENCES: Final = {
     ),
     "dvl_contradiction": (
         "the DVL's velocity does not agree with the reference's (coherence {coherence:.2f})",
-        "check dvl.beam_azimuth_deg, dvl.axes, reference.axes, dvl.stamp and reference.stamp",
+        f"check dvl.beam_azimuth_deg, dvl.axes, reference.axes, dvl.stamp and reference.stamp{_IGNORE}",
     ),
     "dvl_unit": (_DVL_SCALE, _UNIT_HINT),
     "dvl_scale": (_DVL_SCALE, "dvl.scale = {setting:.3f}, or dvl.beam_tilt_deg"),
     "track_contradiction": (
         "the track of gyros and DVL does not fit the reference's positions with any heading or scale (coherence "
         "{coherence:.2f})",
-        "check initial.gyro_bias_degph, imu.axes and dvl.mounting_rpy_deg, or try another imu.topic",
+        f"check initial.gyro_bias_degph, imu.axes and dvl.mounting_rpy_deg, or try another imu.topic{_IGNORE}",
     ),
     "dvl_direction by positions": (
         "the DVL's track fits the reference's positions with a start heading of {fitted_deg:.0f} deg, but "
@@ -98,7 +100,7 @@ _SENTENCES: Final = {
     # The reference.
     "reference_constant": (
         "the {quantity} of the reference is the same in all its rows, while {doing}",
-        "to use another reference: reference.topic and reference.fix",
+        "to use another reference: reference.topic and reference.fix; to use none: reference.ignore = true",
     ),
     "reference_contradiction": (
         "the reference's positions and its velocity disagree (coherence {coherence:.2f})",
@@ -151,6 +153,11 @@ _SENTENCES: Final = {
         f"{_ZERO_HINT}; or correct initial.height_m",
     ),
 }
+
+
+def ignore_hint(*, by_reference: bool) -> str:
+    """Return the end of a hint that leads to a replay without the reference, where it is the one that may be wrong."""
+    return _IGNORE if by_reference else ""
 
 
 def warning(key: str, count: int, **values: Any) -> Note:

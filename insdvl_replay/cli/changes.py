@@ -135,7 +135,8 @@ def answer_against(
             if not isinstance(report, Exception):
                 done.append(report.log.name)
                 if outcome.job in old_jobs and not quiet:
-                    log_notes(report.notes, verbose=verbose > 0)
+                    dive = report.log.name if len(old_jobs) > 1 else ""
+                    log_notes(report.notes, verbose=verbose > 0, dive=dive)
             elif str(report) not in failures:
                 failures[str(report)] = log_failure(report, verbose)
     if both := [name for name in dict.fromkeys(done) if done.count(name) > 1]:

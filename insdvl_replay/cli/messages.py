@@ -18,6 +18,7 @@ from insdvl_replay.core.errors import (
     Note,
     UserError,
     as_shown,
+    counted,
     most_like,
     visible,
     visible_lines,
@@ -65,11 +66,12 @@ def log_info(text: str) -> None:
     log_to_stderr(f"info: {text}")
 
 
-def log_notes(notes: Iterable[Note], *, verbose: bool) -> None:
-    """Report the warnings; all notes if verbose."""
+def log_notes(notes: Iterable[Note], *, verbose: bool, dive: str = "") -> None:
+    """Report the warnings; all notes if verbose. Of several dives each names its own."""
+    whose = f"{dive}: " if dive else ""
     for note in notes:
         if verbose or note.severity == "warning":
-            log_to_stderr(f"{note.severity}: {note.text} [{note.code}]{_hinted(note.hint)}")
+            log_to_stderr(f"{note.severity}: {whose}{note.text} [{note.code}]{_hinted(note.hint)}")
 
 
 def log_failure(error: Exception, verbosity: int) -> int:
@@ -94,7 +96,7 @@ def log_findings(notes: Iterable[Note], file: Path) -> bool:
     for note in findings[:MOST_FINDINGS]:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
     if more := findings[MOST_FINDINGS:]:
-        log_to_stderr(f"found: {', '.join(note.code for note in more)}: in the report and in {file.name}")
+        log_to_stderr(f"found: {counted(len(more), 'more setting')}, in the report and in {file.name}")
     if findings and file.is_file():
         log_to_stderr(f"to repeat it: -c {shlex.quote(str(file))}")
     return bool(findings)

@@ -206,7 +206,8 @@ def run(
             if not (quiet or has_findings):
                 has_findings = log_findings(report.notes, target / VEHICLE_FILE)
             if talks or (alone and not quiet):
-                log_notes([note for note in report.notes if not is_finding(note)], verbose=verbose > 0)
+                warned = [note for note in report.notes if not is_finding(note)]
+                log_notes(warned, verbose=verbose > 0, dive="" if alone else name)
                 if verbose and report.notes and not explained:
                     log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
                     explained = True

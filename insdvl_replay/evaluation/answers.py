@@ -61,7 +61,9 @@ class Answer(Struct, Generic[P], frozen=True, kw_only=True):
     dives: Annotated[int, Meta(description="dives that have the filter; of a comparison, on both sides")]
     evaluated: Annotated[int, Meta(description="of them, those in which it is evaluated; of a comparison, on a side")]
     rows: tuple[P, ...]  # evidence; of several dives, the row that decides first in front
-    reason: Annotated[str, Meta(description="why it is not evaluated on a dive: the most common reason")] = ""
+    reason: Annotated[
+        str, Meta(description="why it is not evaluated, or has no evidence, on a dive: the most common reason")
+    ] = ""
 
     @property
     def known(self) -> list[P]:

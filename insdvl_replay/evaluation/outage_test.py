@@ -21,6 +21,7 @@ from insdvl_replay.evaluation.reference_errors import SHORTEST_M
 from insdvl_replay.evaluation.series import windows_ratio
 
 BURN_IN_S: Final = 100  # No windows while the filters still converge.
+SHORTEST_S: Final = BURN_IN_S + 2 * int(OUTAGE_WINDOWS_S[0])  # of a dive that has the test
 SHOWN_S: Final = 60
 SHOWN_EVERY_S: Final = 30  # Windows for a picture of the drift over time may overlap.
 OUTAGE: Final = 2.5  # A gap of this many usual intervals is an outage; a single missing ping is not.

@@ -93,6 +93,7 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
         if paths != first:
             with suppress(UserError):  # its own replay reports it
                 read.append(read_checked_dive(paths, config, allow_damaged=allow_damaged))
+    read = _without_short(read, notes)
     config = _with_start(read[0], config)
     preset = imu_class(read[0].imu)
     config = _as_given(_of_class(preset, config), given)
@@ -146,6 +147,24 @@ def _is_short(paths: Paths) -> bool:
     known_ns = [span_ns for span_ns in spans_ns if span_ns]
     length_ns = max((last for _, last in known_ns), default=0) - min((first for first, _ in known_ns), default=0)
     return length_ns < SHORT_S * NS_PER_S
+
+
+def _without_short(read: Sequence[Dive], notes: list[Note]) -> list[Dive]:
+    """Leave out dives that are too short to show anything, as long as others are left."""
+    kept: list[Dive] = []
+    for dive in read:
+        begin_ns = max(int(dive.imu.time_ns[0]), int(dive.dvl.time_ns[0]))
+        end_ns = min(int(dive.imu.time_ns[-1]), int(dive.dvl.time_ns[-1]))
+        length_s = max(end_ns - begin_ns, 0) / NS_PER_S
+        if length_s >= SHORT_S:
+            kept.append(dive)
+            continue
+        text = f"{dive.name} is not used to find the settings: IMU and DVL have {length_s:.1f} s together"
+        notes.append(found_note("found_left_out", f"{text}, and {SHORT_S:g} s are needed"))
+    if kept:
+        return kept
+    del notes[len(notes) - len(read) :]
+    return list(read)
 
 
 def _read_with_reference(

@@ -8,7 +8,14 @@ from typing import Final, Protocol, TypeVar
 
 from msgspec.structs import replace
 
-from insdvl_replay.core.quantities import CONSISTENCY, DECIDING, DECIDING_TOGETHER, HELD_OUT_QUANTITIES, label
+from insdvl_replay.core.quantities import (
+    CONSISTENCY,
+    DECIDING,
+    DECIDING_TOGETHER,
+    HELD_OUT_QUANTITIES,
+    OUTAGE_WINDOWS_S,
+    label,
+)
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.tables import CandidateVerdict, EvidenceRow, Number, PooledRow, finite
 from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
@@ -26,6 +33,7 @@ from insdvl_replay.evaluation.answers import (
     shown_interval,
     would_settle,
 )
+from insdvl_replay.evaluation.outage_test import SHORTEST_S
 from insdvl_replay.evaluation.verdicts import reason_not_evaluated
 from insdvl_replay.show.document import MISSING, TENFOLD, decimal, percent, significant
 
@@ -159,7 +167,8 @@ def evidence_text(answer: AnyAnswer) -> str:
         interval, word = interval_text(row), f" {row.verdict}" if answer.verdict == Verdict.MIXED else ""
         interval = "" if interval == MISSING else f" ({interval})"
         texts.append(f"{label(row.quantity)} {ratio_text(row.ratio)}{interval}{word}")
-    return "; ".join(texts) or "no evidence"
+    why = f": {answer.reason}" if answer.reason else ""
+    return "; ".join(texts) or f"no evidence{why}"
 
 
 def reason_undecided(answer: AnyAnswer) -> str:
@@ -211,18 +220,36 @@ def _predicted(candidate: CandidateVerdict, evidence: Sequence[EvidenceRow], *, 
 # --- The answers of reports.
 
 
+def lacking_evidence(report: Report) -> str:
+    """Say what a dive lacks for evidence, and how much."""
+    lacking = []
+    if not has_reference(report):
+        lacking.append("no reference")
+    elif not any(row.status == ReferenceStatus.COMPARED for row in report.tables.reference_error):
+        lacking.append("the reference covers too little")
+    duration_s = report.log.duration_s
+    if duration_s < SHORTEST_S:
+        lacking.append(f"too short for the outage test (needs {SHORTEST_S} s, has {duration_s:.0f} s)")
+    elif not report.tables.outage:
+        lacking.append(f"no {OUTAGE_WINDOWS_S[0]} s in which the DVL has no gap, for the outage test")
+    return ", and ".join(lacking) or "too few effective samples"
+
+
 def answer_on_dive(report: Report, name: str) -> CandidateAnswer[EvidenceRow]:
     """Return the answer for a candidate on one dive."""
     candidate, evidence = report.filters[name], of_filter(name, report.tables.evidence)
+    rows = tuple(row for row in evidence if row.evidence != CONSISTENCY)
+    has_evidence = any(math.isfinite(finite(row.ratio)) for row in rows)
+    reason = "" if has_evidence else lacking_evidence(report)
     return CandidateAnswer(
         filter=name,
         baseline=report.baseline,
         verdict=Verdict(candidate.verdict),
         dives=1,
         evaluated=1,
-        rows=tuple(row for row in evidence if row.evidence != CONSISTENCY),
+        rows=rows,
         log=report.log.name,
-        reason=reason_not_evaluated(candidate.sentence),
+        reason=reason_not_evaluated(candidate.sentence) or reason,
         predicted_pct=candidate.mean_improvement_pct,
         prediction=candidate.prediction,
         predicted=_predicted(candidate, evidence, known=has_reference(report)),
@@ -239,7 +266,11 @@ def pooled_answers(reports: Sequence[Report]) -> list[CandidateAnswer[PooledRow]
             rows = [of_filter(name, report.tables.evidence) for report in evaluated]
             predicted_pct = [report.filters[name].mean_improvement_pct for report in evaluated]
             reasons = [reason_not_evaluated(report.filters[name].sentence) for report in having]
-            found.append(pooled_candidate(name, baseline_names(having), rows, len(having), predicted_pct, reasons))
+            answer = pooled_candidate(name, baseline_names(having), rows, len(having), predicted_pct, reasons)
+            if evaluated and not answer.known and not answer.reason:
+                (lacking, _), *_ = Counter(map(lacking_evidence, evaluated)).most_common(1)
+                answer = replace(answer, reason=lacking)
+            found.append(answer)
     return found
 
 

@@ -10,6 +10,7 @@ import pytest
 from rosbag_messages import START_NS, Message, header, write_log, xyz
 
 from insdvl_replay.core.config import Config, Imu
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection import automatic
@@ -183,3 +184,18 @@ def test_short_dives_and_those_that_fail_do_not_decide_for_the_others(monkeypatc
     assert config.imu.axes == "flu"
     with pytest.raises(LogError, match="no velocities"):
         automatic._first_with_roles(dives[1:2], Given(Config()), [], allow_damaged=False)
+
+
+def test_a_dive_of_some_seconds_does_not_count_beside_others() -> None:
+    def lasting(length_s: float) -> Dive:
+        time_ns = START_NS + np.arange(round(10 * length_s)) * 10**8
+        columns = ImuColumns(time_ns, np.zeros((len(time_ns), 3)), np.zeros((len(time_ns), 3)))
+        return Dive(f"of_{length_s:g}_s", columns, DvlColumns(time_ns, velocity_d=np.zeros((len(time_ns), 3))))
+
+    notes: list[Note] = []
+    whole, short = lasting(60.0), lasting(5.0)
+    assert automatic._without_short([whole, short], notes) == [whole]
+    (note,) = notes
+    assert note.text.startswith("of_5_s is not used")
+    assert automatic._without_short([short], notes) == [short]
+    assert notes == [note]
