@@ -20,6 +20,7 @@ from insdvl_replay.core.dive_columns import (
     nanoseconds,
     seconds,
 )
+from insdvl_replay.core.errors import LogError, counted
 from insdvl_replay.core.states import DEG, MG
 from insdvl_replay.geometry import earth
 from insdvl_replay.geometry.rotation import vector_from_mat
@@ -27,6 +28,8 @@ from insdvl_replay.geometry.rotation import vector_from_mat
 AXES: Final = ("forward", "starboard", "down")
 ENOUGH: Final = 20  # fewer pairs may agree by chance
 LONGEST_STEP_S: Final = 2.5  # longer steps are not used
+FASTEST_HZ: Final = 10_000.0  # no IMU is read more often
+LEAST_DIVE_S: Final = 1.0  # what is shorter is no dive, or its times are in another unit
 SPIN_RADPS: Final = 1.0  # no vehicle that a DVL can follow turns faster than this half of the time
 
 _LEAST_S: Final = 2.0  # a shorter log is no reason to refuse it
@@ -56,6 +59,14 @@ def lies_within(time_ns: TimeNs, others_ns: TimeNs) -> NDArray[np.bool_]:
     return np.asarray((time_ns >= others_ns[0]) & (time_ns <= others_ns[-1]))
 
 
+def length_refusal(place: str, imu: ImuColumns) -> LogError | None:
+    """Refuse an IMU, all of whose samples are in less than a second: that is no dive."""
+    span_s = since_s(imu.time_ns, -1)
+    if span_s >= LEAST_DIVE_S:
+        return None
+    return refusal("imu_too_short", place, samples=counted(len(imu.time_ns), "sample"), span_s=span_s)
+
+
 def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu) -> Iterator[Remark]:
     """Check the readings of an IMU."""
     count, span_s = len(imu.time_ns), since_s(imu.time_ns, -1)
@@ -68,7 +79,9 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
     steps_ns = np.diff(imu.time_ns)
     short_ns = steps_ns[steps_ns <= nanoseconds(settings.max_gap_s)]
     rate_hz = NS_PER_S / float(short_ns.mean()) if len(short_ns) >= ENOUGH else np.inf
-    if rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
+    if np.isfinite(rate_hz) and rate_hz > FASTEST_HZ:
+        yield refusal("imu_too_fast", place, rate_hz=rate_hz, count=count, span_s=span_s)
+    elif rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
         yield refusal("imu_too_slow", place, rate_hz=rate_hz, least_hz=np.floor(rate_hz))
     elif rate_hz < 40.0:  # a vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it
         yield warning("imu_slow", count, rate_hz=rate_hz)

@@ -31,6 +31,15 @@ _SENTENCES: Final = {
     ),
     "imu_too_slow": (_SLOW, "set imu.topic to a faster IMU; to try this one: imu.min_rate_hz = {least_hz:g}"),
     "imu_slow": (_SLOW, "set imu.topic to a faster IMU, if the log has one"),
+    "imu_too_fast": (
+        "the IMU has {rate_hz:.3g} samples a second, more than any: {count} samples in {span_s:.3g} s",
+        'its times are in another unit: name it, such as imu.stamp = "time [ms]", or count samples: imu.stamp = '
+        '"100 Hz"',
+    ),
+    "imu_too_short": (
+        "the IMU has {samples} in {span_s:.3g} s, too little for a dive",
+        'give the whole dive; if it is whole, its times are in another unit: name it, such as imu.stamp = "time [min]"',
+    ),
     "imu_zero": ("the {quantity} is zero in all {count} samples of the IMU", _OTHER_FIELD),
     "imu_constant": ("{quantity} {axis} is {value:g} {unit} in all {count} samples", _OTHER_FIELD),
     "imu_stuck": (

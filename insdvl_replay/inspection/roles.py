@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.checks.dvl import median_speed_mps
-from insdvl_replay.checks.imu import ENOUGH, imu_remarks
+from insdvl_replay.checks.imu import ENOUGH, imu_remarks, length_refusal
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
@@ -365,6 +365,8 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     for remark in imu_remarks(place, columns, None, checked):
         if isinstance(remark, LogError) and remark.what.startswith("the IMU has"):
             raise remark
+    if (error := length_refusal(place, columns)) is not None:
+        raise error
     return _ImuTopic(source.topic, columns, settings, as_read)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from insdvl_replay import logs
+from insdvl_replay.checks.imu import length_refusal
 from insdvl_replay.checks.reference import plausibility_notes
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
 from insdvl_replay.core.config import Config, Imu, Span
@@ -78,6 +79,8 @@ def read_checked_dive(
     """Read a dive, and note what cannot be true in its columns; LogError where the tables would be wrong."""
     dive = logs.read_dive(path, config, allow_damaged=allow_damaged)
     place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
+    if (error := length_refusal(place, dive.imu)) is not None:
+        raise error
     notes = plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
     notes += sensor_notes(dive.sensors, dive.reference, config)
     notes += solution_notes(dive.solutions, dive.reference, config)

@@ -31,6 +31,7 @@ from insdvl_replay.logs.formats.fields import (
     Columns,
     FieldReader,
     Kinds,
+    column_of,
     fields_hint,
     open_reader,
     split_paths,
@@ -45,7 +46,8 @@ RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no m
 SAMPLED: Final = ("pose_cov", "twist_cov")  # quantities that change slowly, and are large
 MOST_SAMPLED: Final = 20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
 _RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")  # as a stamp: of the rows of a table
-_WITH_UNIT: Final = re.compile(r"(.+?) ?\[(s|ms|us|ns)\]")  # as a stamp: a field, and the unit of its numbers
+# As a stamp: a field, and the unit of its numbers.
+_WITH_UNIT: Final = re.compile(rf"(.+?) ?\[({'|'.join(TIME_UNITS_NS)})\]")
 _UNDER_WAY: Final = 1000  # messages at most that are under way from a sensor to the recorder
 _HOPELESS: Final = 1000  # where so many messages cannot be read, and fewer can, the schema is wrong
 
@@ -112,8 +114,16 @@ class Table:
         """Stamps that are plain numbers, shape (k,); None where they are times."""
         values = self.columns[stamp_path(self.source.stamp)]
         is_time = self.source.stamp in RECORDER_STAMPS or self.has_whole_times or values.shape[1] != 1
+        is_time |= self.is_time_column(stamp_path(self.source.stamp))
         is_time |= any(form.fullmatch(self.source.stamp) is not None for form in (_RATE, _WITH_UNIT))
         return None if is_time else values[:, 0]
+
+    def is_time_column(self, path: str) -> bool:
+        """Return whether a stamp without unit is the column of a table by which its rows have their log times."""
+        channel = self.source.channels[0] if self.source.channels else None
+        if channel is None or not channel.time_column or path != self.source.stamp or path in RECORDER_STAMPS:
+            return False
+        return column_of(channel, path) == channel.time_column
 
     def time_ns(self) -> TimeNs:
         """Return the times of validity, shape (k,); a LogError where the stamp is no time, or always the same.
@@ -123,7 +133,9 @@ class Table:
         role, stamp, path = self.source.role, self.source.stamp, stamp_path(self.source.stamp)
         values, hint = self.columns[path], f'{role}.stamp = "log_time"'
         time_ns: TimeNs = values[:, 0]
-        if stamp not in RECORDER_STAMPS and not self.has_whole_times:
+        if self.is_time_column(path):
+            time_ns = self.columns["log_time"][:, 0]
+        elif stamp not in RECORDER_STAMPS and not self.has_whole_times:
             if values.shape[1] != 1:
                 text = f"field '{path}' has {values.shape[1]} numbers and is no time"
                 raise LogError(text, f"set {role}.stamp to a builtin_interfaces/Time or one number", *self.where)
@@ -133,7 +145,9 @@ class Table:
             if rate := _RATE.fullmatch(stamp):
                 counted = int(log_time_ns.min()) + np.rint(values[:, 0] * (NS_PER_S / float(rate[1]))).astype(np.int64)
             elif with_unit := _WITH_UNIT.fullmatch(stamp):
-                counted = values[:, 0] * TIME_UNITS_NS[with_unit[2]]
+                from insdvl_replay.logs.formats.table_times import in_ns  # with pandas, which other logs do not need
+
+                counted = in_ns(values[:, 0], with_unit[2])
             else:
                 counted = values[:, 0] * stamp_unit(values[:, 0], log_time_ns)[0]
             time_ns = counted if counted.dtype == np.int64 else np.rint(counted).astype(np.int64)

@@ -236,6 +236,11 @@ class TopicRequirement:
         elif self.frames is not None:
             text = f"topic '{topic}' has no transforms, but {self.role}.frames is set"
             raise LogError(text, f"remove {self.role}.frames")
+        if channels[0].untimed and stamp == LOG_TIME:
+            by_rate = f'or count rows: {self.role}.stamp = "100 Hz"'
+            raise LogError(
+                channels[0].untimed, f"write seconds, the unit in the title as in time [h], or dates; {by_rate}"
+            )
         factors: Mapping[str, float] = {}
         if channels[0].encoding == TABLE:
             factors = self._factors(channels[0], fields)

@@ -50,6 +50,8 @@ class LogChannel:
     messages: int  # how many are found
     schema_data: bytes = b""  # may be empty; protobuf's is no text
     metadata: Mapping[str, str] = field(default_factory=dict)
+    time_column: str = ""  # of a table: the column of its log times
+    untimed: str = ""  # of a table: why its times cannot be read, so that its rows are only counted
 
     @cached_property
     def schema_text(self) -> str:

@@ -30,6 +30,7 @@ from insdvl_replay.logs.formats.log_file import (
 from insdvl_replay.logs.formats.mcap_file import MAGIC, McapFile
 from insdvl_replay.logs.formats.recorder_clock import OneClock, one_clock, spans_a_step
 
+_COMMON_CLOCK_NS: Final = 10**17  # times after 1973 are those of a clock that counts from 1970
 CHANNELS_OF_A_PART: Final = 1 << 16  # a channel id has 16 bits
 Step = TypeVar("Step")
 
@@ -82,6 +83,8 @@ class Recording:
                 self._unusable[file] = error
         if not opened:
             raise next(iter(self._unusable.values()))
+        if any(channel.time_column for part in opened for channel in part.channels):
+            _align_times_of_day(opened)
         if len(opened) > 1:  # by their first log times, files without messages last
             opened.sort(key=lambda part: (part.span_ns[0] if part.span_ns else float("inf"), part.path.name))
         self.parts = tuple(opened)
@@ -198,6 +201,37 @@ class Recording:
             for part in self.parts:
                 part.file.require_unchanged()
             raise error
+
+
+def _align_times_of_day(parts: Sequence[LogFile]) -> None:
+    """Shift tables without date or hour so that they overlap the others the most: those with a date, else the first."""
+    from insdvl_replay.logs.formats.table_file import TableFile
+    from insdvl_replay.logs.formats.table_times import Bounds, joined_bounds, shift_ns
+
+    fixed: list[Bounds] = []
+    open_ones: list[tuple[int, TableFile, int, Bounds]] = []
+    for part in parts:
+        if not isinstance(part, TableFile):
+            fixed += [part.span_ns] if part.span_ns else []
+            continue
+        for channel_id, times in part.log_times().items():
+            channel = part.channels[channel_id]
+            if not times.size or not channel.time_column:
+                continue
+            bounds = int(times.min()), int(times.max())
+            if channel_id in part.periods_ns:
+                open_ones.append((part.periods_ns[channel_id], part, channel_id, bounds))
+            elif bounds[0] > _COMMON_CLOCK_NS:
+                fixed.append(bounds)
+    # Those that lack the date alone are shifted before those that lack the hour.
+    for period_ns, part, channel_id, bounds in sorted(open_ones, key=lambda found: -found[0]):
+        shift = shift_ns(bounds, period_ns, joined_bounds(fixed)) if fixed else 0
+        if shift is None:
+            what = f"the times of day of {part.channels[channel_id].topic} fit the other tables in several hours"
+            raise LogError(what, "write them with date and hour, such as 2021-06-08T10:41:07.25", part.path)
+        if shift:
+            part.shift(channel_id, shift, "shifted to overlap the other tables, by")
+        fixed.append((bounds[0] + shift, bounds[1] + shift))
 
 
 def open_recording(path: Path | Sequence[Path], *, allow_damaged: bool = False) -> Recording:

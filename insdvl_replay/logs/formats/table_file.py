@@ -10,7 +10,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any, Final
 
@@ -33,9 +33,26 @@ from insdvl_replay.logs.formats.array_files import (
 )
 from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError
+from insdvl_replay.logs.formats.table_times import (
+    DATE_NAME,
+    DAY_NS,
+    TIME_NAME,
+    calendar_of,
+    dates_ns,
+    exact_to_s,
+    guessed_units,
+    in_ns,
+    is_coarse,
+    likely_unit,
+    text_times,
+    unwrapped,
+    usual_step,
+    zero_of,
+)
 
-_TIME: Final = re.compile(r"(^|[_.])(time|times|timestamp|stamp|t|utc|epoch|clock|tow)([_.]?(s|sec|ms|us|ns))?$")
 _ENDS_WITH_UNIT: Final = re.compile(r"_(s|sec|ms|us|ns|nsec|usec|msec)$")
+_ISO_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d")
+_YMD: Final = re.compile(r"(\d{4})(\d\d)(\d\d)")
 _SEPARATORS: Final = (b"\t", b";", b"|", b",")  # in text with several of them the first one separates
 _COMMENTS: Final = (b"#", b"%")
 _DECIMAL_COMMA: Final = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
@@ -45,8 +62,6 @@ _FLAG_WORDS: Final = {
     **dict.fromkeys(("false", "no", "n", "f", "invalid", "bad", "lost", "unlocked", "off", "v"), 0.0),
 }
 _FEW: Final = 0.05  # share of the rows or cells that may be wrong; more of them are another format
-_RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
-_SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
 _LATEST_NS: Final = 4e18  # differences of times must be whole numbers of 64 bits, too
 _LARGEST: Final = 1e100  # larger numbers are not finite, or their squares are not
 _LONGEST_TITLE: Final = 200  # letters
@@ -63,6 +78,19 @@ class _Table:
     topic: str
     columns: dict[str, NDArray[Any]]  # by name, (k,), or (k, n) for a quantity of several numbers
     units: dict[str, str]  # by column, as far as the file has them
+    periods_ns: dict[str, int] = field(default_factory=dict)  # of times of day, by column: an hour or a day
+    unread: dict[str, str] = field(default_factory=dict)  # of columns named as times that are not read: the first cell
+
+
+@dataclass(frozen=True)
+class _Times:
+    """The times of a table's rows."""
+
+    time_ns: TimeNs  # (k,)
+    known: NDArray[np.bool_]  # (k,) which rows have one
+    column: str = ""
+    period_ns: int = 0  # after which times of day repeat
+    unread: str = ""  # why the rows are only counted
 
 
 def clean_name(title: str) -> str:
@@ -83,20 +111,24 @@ class TableFile(LogFile):
         self._commas = 0  # numbers with a decimal comma in the table that is read
         self._rows: list[NDArray[np.float64]] = []  # of each channel, (k, 1 + n): number of the row, then the columns
         self._time_ns: list[TimeNs] = []
+        self.periods_ns: dict[int, int] = {}  # of channels whose times are those of an unknown day or hour
         channels = list[LogChannel]()
         with self.watched():
             needed = 0
             for table in self._tables():
                 needed += _memory_of(table)
                 self._require_room(needed)
-                time_ns, kept = self._times(table)
+                times = self._times(table)
+                kept = times.known
                 names = [(name, 1 if values.ndim == 1 else values.shape[1]) for name, values in table.columns.items()]
                 rows = _rows_of(table, kept)
                 if some := _clear_missing(rows):
                     clause = counted_clause(some, "cells are empty, NaN or too large and count as missing")
                     self._note("table_missing", table.topic, clause, some, warn=False)
                 self._rows.append(rows)
-                self._time_ns.append(time_ns[kept])
+                self._time_ns.append(times.time_ns[kept])
+                if times.period_ns:
+                    self.periods_ns[len(channels)] = times.period_ns
                 channels.append(
                     LogChannel(
                         id=len(channels),
@@ -107,6 +139,8 @@ class TableFile(LogFile):
                         messages=int(np.count_nonzero(kept)),
                         schema_data=msgspec.json.encode(names),
                         metadata=table.units,
+                        time_column=times.column,
+                        untimed=times.unread,
                     )
                 )
         if not channels:
@@ -133,6 +167,14 @@ class TableFile(LogFile):
     def log_times(self) -> dict[int, TimeNs]:
         """Return the times of all rows by channel, (k,) ns."""
         return dict(enumerate(self._time_ns))
+
+    def shift(self, channel_id: int, shift_ns: int, why: str) -> None:
+        """Shift the times of a table, which had no date or no hour."""
+        self._time_ns[channel_id] = self._time_ns[channel_id] + shift_ns
+        hours = shift_ns / TIME_UNITS_NS["h"]
+        text = f"its times of day have no {'hour' if self.periods_ns[channel_id] < DAY_NS else 'date'}: {why}"
+        hint = "write times with date and hour, such as 2021-06-08T10:41:07.25"
+        self._note("table_time_of_day", self.channels[channel_id].topic, f"{text} {hours:+g} h", 1, hint)
 
     def _note(self, code: str, topic: str, text: str, count: int = 1, hint: str = "", *, warn: bool = True) -> None:
         severity = Severity.WARNING if warn else Severity.INFO
@@ -249,13 +291,15 @@ class TableFile(LogFile):
             name = names.unique(clean_name(title) or "column")
             values = given
             if values.dtype.kind not in "biufM":
-                values = self._numbers(topic, title, values)
+                values = self._read_text(table, name, title, values)
             if values.dtype.kind == "M":
                 is_date, whole = ~np.isnat(values), values.astype("M8[ns]").astype(np.int64)
                 values = whole if is_date.all() else np.where(is_date, whole, np.nan)
                 table.units[name] = "ns"
             table.columns[name] = values
-            table.units |= {name: unit} if (unit := unit_of(title)) else {}
+            unit = unit_of(title)
+            if unit and name not in table.units:
+                table.units[name] = unit
         if self._commas:
             clause = counted_clause(self._commas, "numbers have a decimal comma and are read so")
             self._note("table_decimal_comma", topic, clause, self._commas)
@@ -276,8 +320,33 @@ class TableFile(LogFile):
             what = f"has {count} columns; {MOST_COLUMNS} are read"
             raise LogError(what, "write the columns of the IMU, the DVL and the reference to tables", self.path)
 
+    def _read_text(self, table: _Table, name: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
+        """Read cells that are not all numbers: dates and times, else numbers; text alone has none."""
+        if not (TIME_NAME.search(name) or DATE_NAME.search(name)):
+            return self._numbers(table.topic, title, cells)
+        series = pd.Series(cells).map(lambda cell: cell.strip(" \"'") if isinstance(cell, str) else cell)
+        series = series.where(series != "")
+        texts = series.dropna().astype(str)
+        times = None if len(texts) and _ISO_DATE.match(texts.iloc[0]) else text_times(series)
+        if times is not None:
+            table.units[name] = "ns"
+            table.periods_ns |= {name: times.period_ns} if times.period_ns else {}
+            return np.where(times.known, times.time_ns, np.nan) if not times.known.all() else times.time_ns
+        if len(texts) and pd.to_numeric(texts, errors="coerce").notna().mean() <= _FEW:
+            dates = pd.to_datetime(series, errors="coerce", utc=True, format="ISO8601")
+            if dates.notna().mean() > 1.0 - _FEW:
+                return dates.dt.tz_localize(None).to_numpy()
+            days = dates_ns(texts) if len(texts) == len(series) else None
+            if days is not None:
+                table.units[name] = "ns"
+                return days
+        values = self._numbers(table.topic, title, cells)
+        if len(texts) and values.dtype.kind == "f" and not np.isfinite(values).any():
+            table.unread[name] = str(texts.iloc[0])[:40]
+        return values
+
     def _numbers(self, topic: str, title: str, cells: NDArray[Any]) -> NDArray[Any]:
-        """Read cells that are not all numbers; dates become nanoseconds, a column of text has no numbers."""
+        """Read cells that are not all numbers; a column of text has none."""
         series = pd.Series(cells)
         quoted = series.astype(str).str.fullmatch(r'\s*"[^"]*"\s*')
         if quoted.any():
@@ -295,10 +364,6 @@ class TableFile(LogFile):
             is_text = (series.notna() & numbers.isna()).to_numpy()
         count, known = int(np.count_nonzero(is_text)), int(series.notna().sum())
         if count and count == known:
-            if _TIME.search(clean_name(title)):
-                dates = pd.to_datetime(series, errors="coerce", utc=True, format="ISO8601")
-                if dates.notna().mean() > 1.0 - _FEW:
-                    return dates.dt.tz_localize(None).to_numpy()
             return np.full(len(cells), np.nan)
         if count > max(1.0, _FEW * known):
             text = f"column '{title}' has text in {count} of {known} cells"
@@ -325,7 +390,7 @@ class TableFile(LogFile):
                 groups.setdefault((name.rpartition(".")[0], len(values)), {})[name.rpartition(".")[2]] = values
         tables: dict[tuple[str, int], dict[str, NDArray[Any]]] = {}
         for (above, count), columns in groups.items():
-            times = [name for name in columns if _TIME.search(clean_name(name))]
+            times = [name for name in columns if TIME_NAME.search(clean_name(name))]
             by_word = len(times) > 1 and len({_first_word(name) for name in times}) == len(times)
             for name, values in columns.items():
                 word = _first_word(name) if by_word else _first_word(next(iter(columns)))
@@ -343,36 +408,78 @@ class TableFile(LogFile):
 
     # --- Times.
 
-    def _times(self, table: _Table) -> tuple[TimeNs, NDArray[np.bool_]]:
-        """Return the times of a table's rows, ns, (k,), and which rows have one."""
+    def _times(self, table: _Table) -> _Times:
+        """Return the times of a table's rows, by the first column that is named as a time and is read."""
         count = len(next(iter(table.columns.values())))
-        for name, values in table.columns.items():
-            if values.ndim > 1 or not _TIME.search(name) or not np.isfinite(values).any():
-                continue
-            known = np.isfinite(values)
-            ending = _ENDS_WITH_UNIT.search(name)
-            unit = table.units.get(name) or (ending and spelled(ending[1])) or ""
-            if table.units.get(name) and unit not in TIME_UNITS_NS:
-                hint = f"its unit may be {', '.join(TIME_UNITS_NS)}"
-                raise LogError(f"the times '{name}' are in {unit}, which is no unit that is known", hint, self.path)
-            if unit not in TIME_UNITS_NS:
-                unit = _likely_unit(values[known])
-                self._note("table_time_unit", table.topic, f"the times '{name}' were read as {unit}", warn=False)
-            table.units[name] = unit
-            known &= np.abs(np.where(known, values, 0.0)) < _LATEST_NS / TIME_UNITS_NS[unit]
-            usable = np.where(known, values, 0)
-            time_ns = usable.astype(np.int64) * TIME_UNITS_NS[unit]
-            if values.dtype.kind == "f":
-                time_ns = np.rint(usable * TIME_UNITS_NS[unit]).astype(np.int64)
-            if missing := count - int(np.count_nonzero(known)):
-                clause = counted_clause(missing, "rows have no time and are left out")
-                self._note("table_no_time", table.topic, clause, missing)
-            return time_ns, known
-        text = "no column is named as a time; its rows are taken to be 1 s apart"
-        self._note(
-            "table_without_times", table.topic, text, hint='for a rate: imu.stamp = "100 Hz"; for a column: imu.stamp'
-        )
-        return np.arange(count) * NS_PER_S, np.ones(count, np.bool_)
+        named = [name for name in table.columns if TIME_NAME.search(name)]
+        named += [name for name in table.columns if DATE_NAME.search(name) and table.units.get(name) == "ns"]
+        usable = (name for name in named if table.columns[name].ndim == 1 and np.isfinite(table.columns[name]).any())
+        name = next(usable, "")
+        counted_rows = np.arange(count) * NS_PER_S
+        if not name and table.unread:
+            unread, cell = next(iter(table.unread.items()))
+            text = f"the times '{unread}' of {table.topic} are not read: '{cell}' is no number, date or time of day"
+            return _Times(counted_rows, np.ones(count, np.bool_), unread=text)
+        if not name:
+            text = "no column is named as a time; its rows are taken to be 1 s apart"
+            hint = 'for a rate: imu.stamp = "100 Hz"; for a column: imu.stamp'
+            self._note("table_without_times", table.topic, text, hint=hint)
+            return _Times(counted_rows, np.ones(count, np.bool_))
+        values = table.columns[name]
+        known = np.isfinite(values)
+        unit = self._time_unit(table, name, values[known])
+        if not unit:
+            step = usual_step(values[known])
+            text = f"the times '{name}' of {table.topic} step by {step:.3g}, which no sensor does in s, ms, us or ns"
+            return _Times(counted_rows, np.ones(count, np.bool_), unread=text + guessed_units(step))
+        table.units[name] = unit
+        zero = zero_of(values[known], unit)
+        known &= np.abs(np.where(known, values, zero) - zero) < _LATEST_NS / TIME_UNITS_NS[unit]
+        if missing := count - int(np.count_nonzero(known)):
+            clause = counted_clause(missing, "rows have no time and are left out")
+            self._note("table_no_time", table.topic, clause, missing)
+        time_ns = np.zeros(count, np.int64)
+        time_ns[known] = in_ns(values[known], unit)
+        period_ns = table.periods_ns.get(name, 0)
+        if period_ns:
+            days = _days_of(table, name) if period_ns == DAY_NS else None
+            if days is not None:
+                return _Times(time_ns + days, known, name)
+            time_ns = unwrapped(time_ns, known, period_ns)
+        return _Times(time_ns, known, name, period_ns)
+
+    def _time_unit(self, table: _Table, name: str, values: NDArray[Any]) -> str:
+        """Return the unit of a column of times: that of its title, else by the rate of a sensor; empty for none."""
+        stated = table.units.get(name, "")
+        if stated and stated not in TIME_UNITS_NS:
+            hint = f"its unit may be {', '.join(TIME_UNITS_NS)}"
+            raise LogError(f"the times '{name}' are in {stated}, which is no unit that is known", hint, self.path)
+        ending = _ENDS_WITH_UNIT.search(name)
+        unit = stated or (spelled(ending[1]) if ending else "")
+        is_found = not unit
+        unit = unit or likely_unit(values)
+        calendar = calendar_of(values) if unit == "d" and len(values) else None
+        if calendar is not None:
+            text = f"the times '{name}' were read as {calendar.name}, exact to {exact_to_s(values):.2g} s"
+            is_rounded = is_coarse(values)
+            steps = f", where the rows are {usual_step(values) * 86_400.0:.2g} s apart" if is_rounded else ""
+            hint = "write seconds, or more digits"
+            self._note("table_days", table.topic, text + steps, len(values) if is_rounded else 1, hint)
+        elif unit and is_found:
+            self._note("table_time_unit", table.topic, f"the times '{name}' were read as {unit}", warn=False)
+        return unit
+
+
+def _days_of(table: _Table, name: str) -> TimeNs | None:
+    """Return the dates beside times of day, ns since 1970, (k,), of a column named as a date; None without one."""
+    for other, values in table.columns.items():
+        if other == name or values.ndim > 1 or not DATE_NAME.search(other) or not np.isfinite(values).all():
+            continue
+        if table.units.get(other) == "ns":
+            return np.asarray(values.astype(np.int64) // DAY_NS * DAY_NS)
+        if np.all((values >= 19_700_101) & (values < 21_000_101)):
+            return dates_ns(pd.Series(values.astype(np.int64).astype(str)).str.replace(_YMD, r"\1-\2-\3", regex=True))
+    return None
 
 
 class _Names:
@@ -442,16 +549,6 @@ def _is_number(cell: bytes) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _likely_unit(values: NDArray[Any]) -> str:
-    """Return the unit of times by the rate that a sensor can have, and best by a size that counts from 1970."""
-    size, steps = float(np.median(np.abs(values))), np.diff(values.astype(np.float64))
-    step = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0
-    seconds = {unit: factor / NS_PER_S for unit, factor in TIME_UNITS_NS.items()}
-    possible = [unit for unit, factor in seconds.items() if _RATES_HZ[0] < 1.0 / (step * factor) < _RATES_HZ[1]]
-    by_size = [unit for unit in possible if _SINCE_1970_S[0] < size * seconds[unit] < _SINCE_1970_S[1]]
-    return (by_size or possible or ["s"])[0]
 
 
 class RowReader:

@@ -1,0 +1,225 @@
+"""Times of tables: numbers in a unit, days of a calendar, dates, and times of day without a date or an hour."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from insdvl_replay.core.dive_columns import NS_PER_S, TimeNs
+from insdvl_replay.core.units import TIME_UNITS_NS
+
+TIME_NAME: Final = re.compile(
+    r"(^|[_.])(time|times|timestamp|stamp|t|utc|epoch|clock|tow|datetime|datenum|time_?of_?day|hms)([_.]?(s|sec|ms|us|ns))?$"
+)
+DATE_NAME: Final = re.compile(r"(^|[_.])(date|day|datum|ymd)$")
+HOUR_NS: Final = TIME_UNITS_NS["h"]
+DAY_NS: Final = TIME_UNITS_NS["d"]
+_RATES_HZ: Final = (0.2, 4000.0)  # of a sensor: they tell the unit of times that has no name
+_SLOWEST_HZ: Final = 1.0 / 3600.0  # of fixes, where nothing else fits
+_SINCE_1970_S: Final = (1e9, 4e9)  # times of a clock that counts from then, from 2001 to 2096
+_FIRST_DAY, _LAST_DAY = 10_957, 29_220  # 2000 to 2050, days since 1970
+_FEW: Final = 0.05  # share of the cells that may be no times
+_COARSE: Final = 0.1  # share of the usual step by which rounded times may be wrong
+_MOST_DIGITS: Final = 12
+_CELL: Final = re.compile(
+    r"\s*(?:(\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4})[ T]+)?"
+    r"(?:(\d{1,2}):)?(\d{1,2}):(\d{1,2}(?:[.,:]\d+)?)\s*([AaPp][Mm])?Z?\s*"
+)
+_DATE: Final = re.compile(r"\s*(\d{1,4})[-/.](\d{1,2})[-/.](\d{1,4})\s*")
+
+
+@dataclass(frozen=True)
+class Calendar:
+    """A count of days."""
+
+    name: str
+    zero: float  # its number on 1970-01-01
+
+
+CALENDARS: Final = (
+    Calendar("days since 1899-12-30 (a spreadsheet's)", 25_569.0),
+    Calendar("days since the year 0 (MATLAB's datenum)", 719_529.0),
+    Calendar("days since 1970-01-01", 0.0),
+    Calendar("modified Julian days", 40_587.0),
+    Calendar("Julian days", 2_440_587.5),
+)
+
+
+@dataclass(frozen=True)
+class TextTimes:
+    """Times that were text."""
+
+    time_ns: TimeNs  # (k,) of day, or since 1970 where the cells have a date; 0 where a cell has none
+    known: NDArray[np.bool_]  # (k,)
+    period_ns: int  # after which they repeat: an hour, a day, or 0 with a date
+
+
+def calendar_of(values: NDArray[Any]) -> Calendar | None:
+    """Return the calendar in which numbers are days from 2000 to 2050, the first that is possible; None without one."""
+    middle = float(np.median(values))
+    found = (known for known in CALENDARS if _FIRST_DAY <= middle - known.zero < _LAST_DAY)
+    return next(found, None)
+
+
+def zero_of(values: NDArray[Any], unit: str) -> float:
+    """Return the number from which times in a unit are counted: of days that of 1970 in their calendar."""
+    calendar = calendar_of(values) if unit == "d" and values.size else None
+    return calendar.zero if calendar else 0.0
+
+
+def in_ns(values: NDArray[Any], unit: str) -> TimeNs:
+    """Return times in a unit as ns, (k,); days of a calendar are counted from 1970."""
+    if values.dtype.kind != "f" and unit != "d":
+        return np.asarray(values.astype(np.int64) * TIME_UNITS_NS[unit])
+    zero = zero_of(values, unit)
+    return np.asarray(np.rint((values - zero) * TIME_UNITS_NS[unit]).astype(np.int64))
+
+
+def usual_step(values: NDArray[Any]) -> float:
+    """Return the median step between times that rise; 0 where none does."""
+    steps = np.diff(values.astype(np.float64))
+    return float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+
+
+def likely_unit(values: NDArray[Any]) -> str:
+    """Return the unit of times by the rate that a sensor can have, and best by a size that counts from 1970.
+
+    Days are told by their calendar too. Empty where no unit gives a possible rate.
+    """
+    step, size = usual_step(values), float(np.median(np.abs(values)))
+    if step == 0.0:
+        return "s"
+    seconds = {unit: factor / NS_PER_S for unit, factor in TIME_UNITS_NS.items()}
+    small = [unit for unit in ("s", "ms", "us", "ns") if _RATES_HZ[0] < 1.0 / (step * seconds[unit]) < _RATES_HZ[1]]
+    by_size = [unit for unit in small if _SINCE_1970_S[0] < size * seconds[unit] < _SINCE_1970_S[1]]
+    if small:
+        return (by_size or small)[0]
+    for unit, is_likely in (("d", calendar_of(values) is not None), ("s", True)):
+        if is_likely and _SLOWEST_HZ < 1.0 / (step * seconds[unit]) < _RATES_HZ[1]:
+            return unit
+    return ""
+
+
+def guessed_units(step: float) -> str:
+    """Say what a step of times would be in the longer units, where it is that of a sensor."""
+    guesses = []
+    for unit in ("min", "h", "d"):
+        step_s = step * TIME_UNITS_NS[unit] / NS_PER_S
+        if step_s > 0.0 and _RATES_HZ[0] < 1.0 / step_s < _RATES_HZ[1]:
+            guesses.append(f"{step_s:.3g} s in {unit}")
+    return f"; it would be {' or '.join(guesses)}" if guesses else ""
+
+
+def exact_to_s(days: NDArray[np.float64]) -> float:
+    """Return to which part of a second days are written or stored."""
+    some = days[:1000]
+    stored = float(np.spacing(np.abs(some).max()))
+    for digits in range(_MOST_DIGITS):
+        unit = 10.0**-digits
+        if unit <= stored or np.all(np.abs(some / unit - np.rint(some / unit)) < 2.0 * stored / unit):
+            return max(unit, stored) * 86_400.0
+    return stored * 86_400.0
+
+
+def is_coarse(days: NDArray[np.float64]) -> bool:
+    """Return whether days are rounded so much that the steps between them are not those of the sensor."""
+    return exact_to_s(days) > _COARSE * usual_step(days) * 86_400.0
+
+
+# --- Text.
+
+
+def text_times(cells: "pd.Series[Any]") -> TextTimes | None:
+    """Read cells such as ``10:41:07.5``, ``41:07.50``, ``6/8/2021 10:41:07`` or ``10:41:07 PM``; None for others."""
+    texts = cells.dropna().astype(str)
+    if not len(texts) or not _CELL.fullmatch(str(texts.iloc[0])):
+        return None
+    parts = texts.str.extract(f"^{_CELL.pattern}$")
+    minute, second = pd.to_numeric(parts[2]), pd.to_numeric(parts[3].str.replace(r"[,:]", ".", regex=True))
+    hour, has_hour = pd.to_numeric(parts[1]), parts[1].notna()
+    good = (minute < 60) & (second < 60) & ~(hour > 24)
+    if good.mean() <= 1.0 - _FEW:
+        return None
+    half = parts[4].str.lower()
+    hour = hour.where(half.isna(), hour % 12) + 12.0 * (half == "pm")
+    whole = hour.fillna(0.0) * 3600.0 + minute.fillna(0.0) * 60.0
+    of_day = np.rint(whole.to_numpy() * 1e9) + np.rint(second.fillna(0.0).to_numpy() * 1e9)
+    time_ns, known = np.zeros(len(cells), np.int64), np.zeros(len(cells), np.bool_)
+    places = np.flatnonzero(cells.notna().to_numpy())[good.to_numpy()]
+    known[places] = True
+    time_ns[places] = of_day[good.to_numpy()].astype(np.int64)
+    if parts[0].notna()[good].all():
+        days = dates_ns(parts[0][good])
+        if days is None:
+            return None
+        time_ns[places] += days
+        return TextTimes(time_ns, known, 0)
+    return TextTimes(time_ns, known, DAY_NS if has_hour[good].mean() > 0.5 else HOUR_NS)
+
+
+def dates_ns(texts: "pd.Series[Any]") -> TimeNs | None:
+    """Return dates such as ``2021-06-08``, ``8.6.2021`` or ``6/28/2021`` as ns since 1970, (k,); None for others.
+
+    Where both could be the month, the day is first.
+    """
+    whole = texts.astype(str)
+    written = whole.unique()
+    found = [_DATE.fullmatch(str(text)) for text in written]
+    numbers = [tuple(int(part) for part in match.groups()) for match in found if match]
+    if not numbers or len(numbers) < len(written):
+        return None
+    is_month_first = any(second > 12 for first, second, _ in numbers if first <= 12)
+    known: dict[str, int] = {}
+    for text, (first, second, third) in zip(written, numbers, strict=True):
+        if first > 31:
+            year, month, day = first, second, third
+        elif is_month_first:
+            year, month, day = third, first, second
+        else:
+            year, month, day = third, second, first
+        try:
+            since = date(year + 2000 if year < 100 else year, month, day).toordinal() - date(1970, 1, 1).toordinal()
+        except ValueError:
+            return None
+        known[str(text)] = since * DAY_NS
+    return np.asarray(whole.map(known).to_numpy(np.int64))
+
+
+def unwrapped(time_ns: TimeNs, known: NDArray[np.bool_], period_ns: int) -> TimeNs:
+    """Return times that go on where an hour or a day begins anew, (k,)."""
+    rising = time_ns.copy()
+    steps = np.diff(time_ns[known])
+    turns = np.cumsum((steps < -period_ns // 2).astype(np.int64) - (steps > period_ns // 2))
+    rising[known] += period_ns * np.concatenate([[0], turns])[: int(np.count_nonzero(known))]
+    return rising
+
+
+# --- Tables of one dive, of which some have no date or no hour.
+
+Bounds = tuple[int, int]  # first and last time, ns
+
+
+def shift_ns(times: Bounds, period_ns: int, others: Bounds) -> int | None:
+    """Return by how many periods times are to be shifted to overlap others the most, in ns.
+
+    None where another shift is as good.
+    """
+    first, last = others
+
+    def overlap_ns(shift: int) -> int:
+        return min(last, times[1] + shift) - max(first, times[0] + shift)
+
+    nearest = period_ns * round((first + last - times[0] - times[1]) / 2 / period_ns)
+    shifts = sorted((nearest + step * period_ns for step in (-1, 0, 1)), key=overlap_ns, reverse=True)
+    best, second = (overlap_ns(shift) for shift in shifts[:2])
+    return None if second > 0 and second > 0.98 * best else shifts[0]
+
+
+def joined_bounds(bounds: Sequence[Bounds]) -> Bounds:
+    """Return the first and the last of several."""
+    return min(first for first, _ in bounds), max(last for _, last in bounds)
