@@ -211,6 +211,9 @@ def read_result(folder: Text) -> "DiveResult":
 def read_results(folder: Text) -> "DiveResults":
     """Return the results of all dives in a folder, with their pooled evidence.
 
+    Where a run of several dives has written its summary, the dives in it count, as on its page. Results of earlier runs
+    beside them are left out, and named in `content.notes`.
+
     Raises
     ------
     ConfigError
@@ -222,11 +225,11 @@ def read_results(folder: Text) -> "DiveResults":
     from insdvl_replay.show.dive import TOGETHER
     from insdvl_replay.show.dives import named_result, overview_parts
 
-    found, _ = read_reports(_path("folder", folder), Report)
+    found, notes = read_reports(_path("folder", folder), Report)
     reports = [report for _, report in found]
     content = named_result(reports, [*(layout.name for layout in TABLES), *TOGETHER], ())
     dives = {os.path.relpath(file.parent, folder): DiveResult(report, file.parent) for file, report in found}
-    return DiveResults(replace(content, document=overview_parts(reports)), dives, Path(folder))
+    return DiveResults(replace(content, document=overview_parts(reports), notes=notes), dives, Path(folder))
 
 
 def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any) -> Path:

@@ -135,6 +135,7 @@ def run(
     from insdvl_replay.core.errors import visible
     from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
+    from insdvl_replay.results.stored_results import earlier_results
     from insdvl_replay.show.answers import Failure
     from insdvl_replay.show.dive import TOGETHER, dive_document, replay_result, require_tables, tables_named
     from insdvl_replay.show.dives import INDEX, OVERVIEWS, overview_parts
@@ -229,6 +230,7 @@ def run(
             file.write_bytes(write(reports))
         if talks:
             log_to_stderr(f"wrote {output / overview}")
+    log_notes(earlier_results(output, codes), verbose=False)
     if unchanged and not (quiet or talks):
         log_to_stderr(f"unchanged: {unchanged} of {len(dives)} dives")
     if not tables and (not quiet or format_ in ("json", "csv", "html")):

@@ -11,6 +11,7 @@ from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
 
 REPORT: Final = "report.json"  # the file that identifies a result folder
+SUMMARY: Final = "summary.csv"  # of a run of several dives, beside their folders, which its column `log` names
 PAGES: Final = ("report.html", "index.html")
 TomlKind = Literal["settings", "gates", "dives"]
 

@@ -1,17 +1,19 @@
 """Find results on the disk and read them back, those of other versions too."""
 
+import csv
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
 import msgspec
 
 from insdvl_replay import __version__
-from insdvl_replay.core.errors import ConfigError, Note, ResultError, looked_for
-from insdvl_replay.core.path_kinds import looks_like_log, replay_hint
+from insdvl_replay.core.errors import ConfigError, Note, ResultError, counted, listed, looked_for
+from insdvl_replay.core.path_kinds import SUMMARY, looks_like_log, replay_hint
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import TABLES
+from insdvl_replay.core.words import Severity
 from insdvl_replay.results.folder import COMPLETE, LABELS, NOT_JSON, Label, read_file
 
 _Kind = TypeVar("_Kind")
@@ -20,16 +22,15 @@ _Kind = TypeVar("_Kind")
 def read_results(root: Path) -> tuple[list[StoredResult], list[Note]]:
     """Read every result in a place: a report.json, a result folder, or a folder of them at any depth.
 
-    Results of studies, which have no tables of a dive, are left out and counted. A place without a result of a dive is
-    a ConfigError, a report that cannot be read a ResultError.
+    Results of studies, which have no tables of a dive, and of earlier runs are left out and counted. A place without a
+    result of a dive is a ConfigError, a report that cannot be read a ResultError.
     """
-    reports, studies = read_reports(root, StoredReport)
+    reports, notes = read_reports(root, StoredReport)
     results = [
         StoredResult(file.parent, file.parent.relative_to(root).as_posix() if root.is_dir() else ".", report)
         for file, report in reports
     ]
-    text = f"{root}: ignored {studies} results of studies"
-    return results, [Note("studies_left_out", text, studies)] if studies else []
+    return results, notes
 
 
 def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
@@ -43,14 +44,58 @@ def read_one_result(root: Path, kind: type[_Kind]) -> tuple[Path, _Kind]:
     return file.parent, report
 
 
-def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]], int]:
-    """Read the reports of all dives in a place, of which there must be one, and count those of studies."""
-    read = [(file, _read_report(file, kind)) for file in sorted(_report_files(root))]
+def read_reports(root: Path, kind: type[_Kind]) -> tuple[list[tuple[Path, _Kind]], list[Note]]:
+    """Read the reports of all dives in a place, of which there must be one, and note what is left out.
+
+    Where a run of several dives has written its summary, the dives in it count, as on its page. Results beside them are
+    of earlier runs, with other logs or settings.
+    """
+    files, notes = _of_last_runs(sorted(_report_files(root)))
+    read = [(file, _read_report(file, kind)) for file in files]
     reports = [(file, report) for file, report in read if report is not None]
     if not reports:
         found = "holds only results of studies" if read else "holds no result"
         raise ConfigError(f"{root}: {found}", "name a folder that `insdvl-replay run LOG... -o DIR` wrote")
-    return reports, len(read) - len(reports)
+    if studies := len(read) - len(reports):
+        notes.append(Note("studies_left_out", f"{root}: ignored {studies} results of studies", studies))
+    return reports, notes
+
+
+def earlier_results(folder: Path, dives: Collection[str]) -> list[Note]:
+    """Note the results in the folder of a run that are of other dives than its own."""
+    files = [Path(entry.path, COMPLETE) for entry in os.scandir(folder) if entry.name not in dives]
+    left = sorted(file.parent.name for file in files if not file.parent.name.startswith(".") and file.is_file())
+    return [_earlier(folder, left)] if left else []
+
+
+def _earlier(folder: Path, names: Sequence[str]) -> Note:
+    are = f"{counted(len(names), 'result')} of earlier runs {'is' if len(names) == 1 else 'are'}"
+    text = f"{folder}: {are} left out: {listed(names)}"
+    hint = f"name a folder of its own for each run with -o; to read one of them: {folder / names[0]}"
+    return Note("earlier_results", text, len(names), Severity.WARNING, hint)
+
+
+def _of_last_runs(files: Sequence[Path]) -> tuple[list[Path], list[Note]]:
+    """Leave out the reports beside a summary that does not name their dives, with a note for each such folder."""
+    kept: list[Path] = []
+    notes: list[Note] = []
+    for folder in dict.fromkeys(file.parent.parent for file in files):
+        inside = [file for file in files if file.parent.parent == folder]
+        dives = _dives_of_run(folder / SUMMARY)
+        of_run = [file for file in inside if file.parent.name in dives]
+        kept += of_run or inside
+        if of_run and len(of_run) < len(inside):
+            notes.append(_earlier(folder, [file.parent.name for file in inside if file not in of_run]))
+    return sorted(kept), notes
+
+
+def _dives_of_run(summary: Path) -> set[str]:
+    """Read the names of a run's dives; none where it has no summary."""
+    try:
+        text = read_file(summary).decode()
+    except (OSError, UnicodeDecodeError):
+        return set()
+    return {row["log"] for row in csv.DictReader(text.splitlines()) if row.get("log")}
 
 
 def _report_files(root: Path) -> Iterator[Path]:

@@ -8,6 +8,7 @@ from urllib.parse import quote
 from msgspec import Struct
 
 from insdvl_replay.core.errors import counted
+from insdvl_replay.core.path_kinds import SUMMARY
 from insdvl_replay.core.quantities import is_whole, label
 from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Report, Result, Title
 from insdvl_replay.core.tables import Number, PooledRow
@@ -178,7 +179,7 @@ def _first_line(kind: type[Struct]) -> bytes:
 
 # The files of several dives together: the function that writes each, and its first bytes.
 OVERVIEWS: Final[Mapping[str, tuple[Callable[[Sequence[Outcome]], bytes], bytes]]] = {
-    "summary.csv": (lambda outcomes: table_csv(Block.of(SummaryRow, summary_rows(outcomes))), _first_line(SummaryRow)),
+    SUMMARY: (lambda outcomes: table_csv(Block.of(SummaryRow, summary_rows(outcomes))), _first_line(SummaryRow)),
     "evidence.csv": (lambda outcomes: table_csv(Block.of(PooledRow, pooled_rows(outcomes))), _first_line(PooledRow)),
     INDEX: (index_page, SIGNATURE.encode()),
 }

@@ -7,7 +7,7 @@ import pytest
 from small_results import content, write
 
 from insdvl_replay.core.errors import ConfigError, ResultError
-from insdvl_replay.results.stored_results import read_results
+from insdvl_replay.results.stored_results import earlier_results, read_results
 
 STUDY = {"kind": "montecarlo", "tool": {"name": "insdvl-replay"}}
 
@@ -88,3 +88,21 @@ def test_a_report_is_read_as_it_was_written(tmp_path: Path) -> None:
     ((result,), notes) = read_results(write(tmp_path, content(rmse=0.25)))
     assert result.report.tables == json.loads((tmp_path / "report.json").read_text())["tables"]
     assert (result.folder, notes) == (tmp_path, [])
+
+
+def test_results_beside_those_of_the_last_run_are_left_out_and_named(tmp_path: Path) -> None:
+    run = tmp_path / "replay"
+    for name in ("one", "two", "three", "four"):
+        write(run / name, content(name))
+    summary = run / "summary.csv"
+    summary.write_text("log,filter\none,aided\none,other\nthree,aided\nfailed,\n")
+    results, (note,) = read_results(run)
+    assert [result.name for result in results] == ["one", "three"]
+    assert (note.code, note.count, note.severity) == ("earlier_results", 2, "warning")
+    assert note.text.endswith("2 results of earlier runs are left out: four, two")
+    assert earlier_results(run, {"one", "three", "failed"}) == [note]
+    assert earlier_results(run, {"one", "two", "three", "four"}) == []
+    # From above, each folder of a run counts for itself; another table of that name says nothing of results.
+    assert len(read_results(tmp_path)[0]) == 2
+    summary.write_text("time,log\n1.0,2.0\n")
+    assert len(read_results(run)[0]) == 4
