@@ -16,7 +16,7 @@ from insdvl_replay.evaluation.evaluate import Curves, curves_of, tables_of_filte
 from insdvl_replay.evaluation.evidence import ReferenceNoise
 from insdvl_replay.evaluation.notes import constants_notes, reference_notes, settings_hints, update_notes
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
-from insdvl_replay.evaluation.verdicts import evaluated_candidates
+from insdvl_replay.evaluation.verdicts import evaluated_candidates, not_evaluated_notes
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, require_fit_of, run_candidates
@@ -122,7 +122,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
 
     # The verdict on each.
     tables, verdicts = evaluated_candidates(histories, errors, tables, notes, independent=settings.independent)
-    notes += settings_hints(tables, baseline) + constants_notes(histories)
+    notes += not_evaluated_notes(verdicts) + settings_hints(tables, baseline) + constants_notes(histories)
     histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
     return Replay(

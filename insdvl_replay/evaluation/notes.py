@@ -41,6 +41,7 @@ APART: Final = 5.0
 # along down, and the filter assumes equal variance on all axes.
 TOO_LARGE: Final = 1.5
 TELLING_PCT, TELLING_DEG = 0.5, 0.5
+FAR_OFF: Final = {"scale": 20.0, "turn": 10.0}  # %, deg: no result of such a replay is worth much
 # Standard errors by which a track has to be off; those of a turn include the sigma of the heading.
 CERTAIN_SDS: Final = 5.0
 LEAST, MOST = 0.2, 5.0  # Mean NIS/dof outside which the noise settings are far off.
@@ -171,17 +172,20 @@ def settings_hints(tables: Tables, baseline: History) -> tuple[Note, ...]:
 
     heading_sd_deg = float(np.max(baseline.sd[[0, -1], PHI.stop - 1])) / DEG
     telling, off = {"scale": (TELLING_PCT, 0.0), "turn": (TELLING_DEG, heading_sd_deg)}, []
+    is_far = False
     for row in tables.track_fit:
         size, (least, known_sd) = abs(finite(row.fitted)), telling[row.quantity]
         sd = math.hypot(finite(row.fitted_sd), known_sd)
         if row.filter == name and size > least and size > CERTAIN_SDS * sd:
             off.append(f"a {row.quantity} of {finite(row.fitted):+.2f} {row.unit} (sd {sd:.2g} {row.unit})")
+            is_far |= size > FAR_OFF[row.quantity]
     if off:
         text = (
             f"{' and '.join(off)} would align the track of {name} with the reference's: dvl.scale, "
             "dvl.mounting_rpy_deg or initial.heading_deg may be wrong"
         )
-        notes.append(Note("track_off", text, len(off), hint=_CALIBRATE))
+        severity = Severity.WARNING if is_far else Severity.INFO
+        notes.append(Note("track_off", text, len(off), severity, _CALIBRATE))
 
     if is_noise_far_off(tables, name):
         text = (

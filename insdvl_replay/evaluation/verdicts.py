@@ -31,7 +31,7 @@ from insdvl_replay.core.tables import (
     Tables,
     finite,
 )
-from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Verdict
+from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Severity, Verdict
 from insdvl_replay.evaluation.answers import (
     AGAINST,
     DECIDED,
@@ -289,6 +289,14 @@ def verdicts(
             mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
         )
     return found
+
+
+def not_evaluated_notes(verdicts: Mapping[str, CandidateVerdict]) -> tuple[Note, ...]:
+    """Note the candidates without a verdict, so that a replay that may have no warnings fails."""
+    names = [name for name, found in verdicts.items() if found.verdict == Verdict.NOT_EVALUATED]
+    text = "there is no verdict on {}, which is not evaluated"
+    hint = "settle the reason, which is in the sentence on the filter"
+    return tuple(Note("not_evaluated", text.format(name), 1, Severity.WARNING, hint) for name in names)
 
 
 def reason_not_evaluated(sentence: str) -> str:

@@ -14,7 +14,7 @@ from insdvl_replay.checks.imu import ENOUGH, imu_remarks, length_refusal
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
-from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.errors import LogError, Note, UserError, counted, error_context
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
 from insdvl_replay.core.units import SPECIFIC_FORCE_BY_SIZE, SPECIFIC_FORCE_UNITS, VELOCITY_BY_SIZE, VELOCITY_UNITS
@@ -242,11 +242,20 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs; return the cost of the best."""
     place, draft, imus, pings = read.place, read.draft, read.imus, read.pings
     tried: list[tuple[Trials, _ImuTopic, str]] = []
+    too_few: list[LogError] = []
     for imu in track_progress("trying IMUs and DVLs", imus):
         for topic, dvl in pings.items():
             dive = Dive("", imu.columns, dvl, reference=read.reference)
-            trials = Trials(thinned(dive), trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given)
+            try:
+                stretch = thinned(dive)
+            except LogError as error:
+                too_few.append(error)
+                continue
+            trials = Trials(stretch, trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given)
             tried.append((trials, imu, topic))
+    if not tried:
+        with error_context(place):
+            raise too_few[0]
     tried.sort(key=lambda found: found[0].cost)
     for trials, *_ in tried:
         least = min(found.cost for found, *_ in tried)
@@ -360,7 +369,8 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     columns, _ = decode_imu(table, settings)
     place = str(log.path)
     if len(columns.time_ns) < ENOUGH:
-        raise LogError(f"has {len(columns.time_ns)} samples, too few to try settings", "", place, source.topic)
+        what = f"has {counted(len(columns.time_ns), 'sample')}, too few to try settings"
+        raise LogError(what, "", place, source.topic)
     checked = msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
     for remark in imu_remarks(place, columns, None, checked):
         if isinstance(remark, LogError) and remark.what.startswith("the IMU has"):

@@ -19,7 +19,7 @@ from insdvl_replay.checks.dvl import fit, velocity_pairs
 from insdvl_replay.checks.imu import ENOUGH, gyro_by_attitude
 from insdvl_replay.core.config import Config, Dvl, Filter, Initial, Noise
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, seconds
-from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.errors import LogError, UserError, counted
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import horizontal
@@ -30,6 +30,7 @@ from insdvl_replay.logs.columns.imu import FRD, in_frd
 STRETCH_S: Final = 240.0
 IMU_STEP_S: Final = 0.04
 PING_STEP_S: Final = 0.5
+FEWEST: Final = 3  # averaged samples, and pings, of which a stretch can be replayed
 COARSE: Final = Noise(
     accel_white_mps_rts=0.01, gyro_white_rad_rts=2e-4, accel_bias_walk_mps2_rts=1e-5, gyro_bias_walk_radps_rts=1e-7
 )
@@ -69,10 +70,16 @@ class Hypothesis:
 
 
 def thinned(dive: Dive) -> Dive:
-    """Return the liveliest stretch of a dive, with averaged IMU readings and fewer pings."""
+    """Return the liveliest stretch of a dive, with averaged IMU readings and fewer pings.
+
+    A LogError where there are too few of them.
+    """
     imu, dvl = dive.imu, dive.dvl
     size = max(1, round(IMU_STEP_S / imu.usual_step_s))
     blocks = len(imu.time_ns) // size
+    if blocks < FEWEST or len(dvl.time_ns) < FEWEST:
+        found = f"{counted(len(imu.time_ns), 'sample')} of the IMU and {counted(len(dvl.time_ns), 'ping')} of the DVL"
+        raise LogError(f"has {found}, too few to find settings", "use a longer part of the dive")
     time_ns = imu.time_ns[: blocks * size].reshape(blocks, size)
     middle_ns = time_ns[:, 0] + ((time_ns - time_ns[:, :1]).mean(axis=1)).astype(np.int64)
     force, rate = (

@@ -18,6 +18,11 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
         "{hint}",
     ),
     "dvl_three_beams": (INFO, "pings solved from three beams, without a check: {count}", ""),
+    "dvl_outside_imu": (
+        WARNING,
+        "pings before the first or after the last sample of the IMU: {count} of {total}",
+        "compare dvl.stamp with imu.stamp, and look whether the log of the IMU is whole",
+    ),
     "dvl_outside_span": (INFO, "pings before the start of the replay or after its end: {count}", ""),
     "dvl_outages": (
         WARNING,

@@ -46,6 +46,7 @@ from insdvl_replay.preparation.plugins import prepare_user_measurements, prepare
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
 RESIDUAL_HINT: Final = "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
+MOST_OUTSIDE: Final = 0.2  # of the pings: sensors that do not start and stop together explain fewer
 LONGEST_BRIDGE_S: Final = 3600.0  # longer gaps cannot be bridged
 WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0  # where an attitude may be off by more, errors no longer add up
 IN_LINE: Final = np.eye(3)  # the axes of the reference are those of the IMU
@@ -139,6 +140,14 @@ def reference_at_imu(
     return reference if known.all() else reference.rows(known)
 
 
+def coverage_notes(sample_ns: TimeNs, ping_ns: TimeNs) -> list[Note]:
+    """Note pings outside the samples of an IMU, if these are more than sensors that start and stop apart explain."""
+    outside = int(np.count_nonzero((ping_ns < sample_ns[0]) | (ping_ns > sample_ns[-1])))
+    if outside <= MOST_OUTSIDE * len(ping_ns):
+        return []
+    return [note("dvl_outside_imu", outside, total=len(ping_ns))]
+
+
 def prepare_dive(dive: Dive, config: Config) -> Prepared:
     """Do everything that comes before the filters of a dive from `with_reference_at_imu`, but for fitting the heading.
 
@@ -170,6 +179,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     notes += [*gap_notes, *alignment.notes]
     if outside := len(velocities.time_ns) - len(inside.time_ns):
         notes.append(note("dvl_outside_span", outside))
+    notes += coverage_notes(dive.imu.time_ns, velocities.time_ns)
     in_span = {
         name: columns.rows((columns.time_ns >= start_ns) & (columns.time_ns <= end_ns))
         for name, columns in dive.sensors.items()

@@ -17,6 +17,7 @@ from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.proposal import Given
 from insdvl_replay.inspection.roles import RoleReadings, read_roles
+from insdvl_replay.inspection.trials import thinned
 
 END_S = 25.0
 TIMES = np.arange(0.0, END_S, 0.02)
@@ -199,3 +200,11 @@ def test_a_dive_of_some_seconds_does_not_count_beside_others() -> None:
     assert note.text.startswith("of_5_s is not used")
     assert automatic._without_short([short], notes) == [short]
     assert notes == [note]
+
+
+def test_a_stretch_of_a_few_samples_or_pings_is_no_dive_to_search_in() -> None:
+    steps_ns = 2_000_000 * np.arange(40)
+    samples = ImuColumns(steps_ns, np.tile([0.0, 0.0, -9.8], (40, 1)), np.zeros((40, 3)))
+    pings = DvlColumns(np.array([0, 10**9]), velocity_d=np.ones((2, 3)))
+    with pytest.raises(LogError, match="40 samples of the IMU and 2 pings of the DVL, too few"):
+        thinned(Dive("", samples, pings))

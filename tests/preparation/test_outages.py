@@ -9,7 +9,7 @@ import pytest
 
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.nav.earth_model import HOLD_AFTER_S, GravityHeight, followed
-from insdvl_replay.preparation.prepared import outage_notes
+from insdvl_replay.preparation.prepared import coverage_notes, outage_notes
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
@@ -36,6 +36,14 @@ def test_long_outages_are_reported(spans_s: list[tuple[float, float]], count: in
         count
     )
     assert not notes or re.search(words, notes[0].text)
+
+
+@pytest.mark.parametrize(("last_s", "outside"), [(100.0, 0), (81.0, 0), (53.0, 48), (2.0, 99)])
+def test_many_pings_outside_the_samples_of_the_imu_are_a_warning(last_s: float, outside: int) -> None:
+    samples_ns = pings_ns((1.0, last_s))
+    found = coverage_notes(samples_ns, pings_ns((1.0, 101.0)))
+    expected = [("dvl_outside_imu", "warning", outside)] * bool(outside)
+    assert [(note.code, note.severity, note.count) for note in found] == expected
 
 
 def test_gravity_follows_the_height_and_is_held_without_velocities() -> None:

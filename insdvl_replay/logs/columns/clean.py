@@ -109,7 +109,10 @@ class Cleaner:
     def keep_finite(
         self, *values: Floats, hint: str = "", reason: str = "messages hold a number that is not finite"
     ) -> None:
-        """Drop the rows in which a number is missing; with a hint it is a warning if more than single ones lack it."""
+        """Drop the rows in which a number is missing.
+
+        With a hint it is a warning if rows next to each other lack it, or more than few. Without, it is if most do.
+        """
         # The extremes of a column of which a number is missing are missing.
         if all(np.isfinite([array.min(), array.max()]).all() for array in values if array.size):
             return
@@ -117,8 +120,11 @@ class Cleaner:
         for column in (column for array in values for column in array.T):
             finite &= np.isfinite(column)
         lost = ~finite[self.rows]
-        single = not np.any(lost[1:] & lost[:-1])
-        self.keep(finite, "not_finite", reason, Severity.WARNING if hint and not single else Severity.INFO, hint)
+        count = int(np.count_nonzero(lost))
+        is_serious = 2 * count > lost.size
+        if hint:
+            is_serious = bool(np.any(lost[1:] & lost[:-1])) or not is_few(count, lost.size)
+        self.keep(finite, "not_finite", reason, Severity.WARNING if is_serious else Severity.INFO, hint)
 
     def keep_possible(self, possible: Mask, impossible: Floats, reason: str, hint: str) -> None:
         """Drop rows with impossible readings, shape (m,), unless these mean a wrong unit."""
