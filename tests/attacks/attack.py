@@ -1,4 +1,4 @@
-"""Attack the program with damaged logs, bombs, hostile names and surroundings, kills, and logs that change meanwhile.
+"""Attack the program with damaged logs and tables, bombs, hostile names, kills, and logs that change meanwhile.
 
 `make attack` runs all of it and writes the tables of benchmarks/RESULTS.md. Exit code 1 says that a defect was found;
 each is one line on stdout, with the seed that makes it again.
@@ -22,7 +22,10 @@ from results import machine, table, write_part  # noqa: E402
 
 from insdvl_replay.core.runtime import prepare_process  # noqa: E402
 
-MUTANTS, KILLS, SWAPS = 10_000, 120, 60
+MUTANTS = 10_000
+TABLES = 1_000
+KILLS = 120
+SWAPS = 60
 TIDY = ("ok", "hidden folder left", "ended by the bare signal")
 """How a command may end that was killed or has to do with something hostile: the last two nobody can help."""
 
@@ -70,6 +73,23 @@ def mutate(arguments: argparse.Namespace, folder: Path) -> bool:
         f"{BEYOND_MB:.0f} MB more than the clean log. The first {len(DEFECTS)} classes are defects."
     )
     _told(arguments, "damaged logs", text, table(COLUMNS, rows(outcomes)))
+    return any(outcome.verdict in DEFECTS for outcome in outcomes)
+
+
+def tables(arguments: argparse.Namespace, folder: Path) -> bool:
+    """Damage tables by the hundred."""
+    import tables as attacker
+    from table_harm import ENDINGS
+    from victim import BEYOND_MB, DEFECTS, LIMIT_S
+
+    seeds = range(arguments.seed, arguments.seed + (arguments.count or TABLES))
+    outcomes = list(attacker.campaign(seeds, arguments.jobs, folder))
+    text = (
+        f"{len(seeds)} mutants of a dive as tables, from seed {arguments.seed}: columns, text and bytes are changed. A "
+        f"hang takes {LIMIT_S} s of processor time, memory {BEYOND_MB:.0f} MB more than the clean tables. The first "
+        f"{len(DEFECTS)} classes are defects."
+    )
+    _told(arguments, "damaged tables", text, table(("", *ENDINGS), attacker.rows(outcomes)))
     return any(outcome.verdict in DEFECTS for outcome in outcomes)
 
 
@@ -162,6 +182,7 @@ ATTACKS = {
     "swaps": swaps,
     "bombs": bombs,
     "mutate": mutate,
+    "tables": tables,
 }
 
 
