@@ -24,7 +24,7 @@ from typing import Any, Final, NoReturn, TypeVar
 from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.extras import install_hint
 from insdvl_replay.core.interrupts import was_interrupted
-from insdvl_replay.core.runtime import prepare_process
+from insdvl_replay.core.runtime import is_out_of_memory, prepare_process
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -203,6 +203,10 @@ def _do(work: Callable[[Item], Result], item: Item) -> Result:
         return work(item)
     except SystemExit:
         os._exit(1)
+    except Exception as error:
+        if is_out_of_memory(error) and not isinstance(error, MemoryError):  # the limit is known here
+            raise MemoryError(str(error)) from error
+        raise
 
 
 def cluster_pool(address: str) -> Pool:

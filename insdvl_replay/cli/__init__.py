@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 INTERRUPTED = 130
 LOST_OUTPUT = 2
+NO_MEMORY = 3
 
 
 def main() -> "NoReturn":
@@ -69,5 +70,8 @@ def run_command_line(arguments: list[str]) -> int:
             return log_failure(error, typed_verbosity(arguments))
     except SystemExit as leaving:  # shell completion exits this way
         return int(leaving.code or 0)
+    except (ImportError, MemoryError, OSError):  # of the modules that would say so
+        print("error: there is not enough memory; hint: raise the limit with `ulimit -v`", file=sys.stderr)
+        return NO_MEMORY
     except KeyboardInterrupt:
         return INTERRUPTED

@@ -24,6 +24,7 @@ from insdvl_replay.core.errors import (
     visible_lines,
     without_commands,
 )
+from insdvl_replay.core.runtime import is_out_of_memory, memory_limit
 
 INTERNAL_ERROR = 4
 USAGE = 2
@@ -119,12 +120,11 @@ def _explained(error: Exception) -> tuple[int, str, str]:
         return error.exit_code, error.message, error.hint
     if isinstance(error, UsageError):
         return USAGE, *_explained_usage(error)
+    if is_out_of_memory(error):
+        return LogError.exit_code, *_not_enough_memory(str(error))
     if isinstance(error, OSError):
         found = f"{error.filename or 'stdout'}: cannot be read or written: {error.strerror or error}"
         return USAGE, found, "check the path, its permissions and the free disk space"
-    if isinstance(error, MemoryError):
-        found = f"there is not enough memory{f': {error}' if str(error) else ''}"
-        return LogError.exit_code, found, "use a machine with more memory; `ulimit -v` shows a limit of this shell"
     return (
         INTERNAL_ERROR,
         f"internal error: {type(error).__name__}: {error}",
@@ -153,6 +153,14 @@ def _allowed_words(kind: Any) -> list[str]:
     if get_origin(kind) is Literal:
         return list(get_args(kind))
     return [word for inner in get_args(kind) for word in _allowed_words(inner)]
+
+
+def _not_enough_memory(reason: str = "") -> tuple[str, str]:
+    """Return the sentence and the hint for a lack of memory."""
+    limit = memory_limit()
+    within = "" if limit is None else f" within the limit of {limit / 1e6:.0f} MB"
+    hint = "use a machine with more memory" if limit is None else "raise the limit of this shell with `ulimit -v`"
+    return f"there is not enough memory{within}{f': {reason}' if reason else ''}", hint
 
 
 def _explained_usage(error: Any) -> tuple[str, str]:

@@ -5,7 +5,7 @@ import shlex
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -13,6 +13,10 @@ from typer.core import TyperCommand, TyperGroup
 from insdvl_replay.core.dive_record import TABLE_SUFFIXES
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.path_kinds import PAGES, looks_like_log, result_named
+from insdvl_replay.core.runtime import require_memory
+
+_SMALL: Final = ("config", "schema", "explain")
+"""Commands that load neither numpy nor the compiler."""
 
 
 class PlainCommand(TyperCommand):
@@ -21,6 +25,12 @@ class PlainCommand(TyperCommand):
     def get_help(self, ctx: typer.Context) -> str:  # type: ignore[override]
         """Return the help."""
         return re.sub(r" <list\[\w+\]>", lambda kind: " " * len(kind[0]), super().get_help(ctx))
+
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
+        """Run the command, if the process may take the memory that its libraries need."""
+        if self.name not in _SMALL:
+            require_memory()
+        return super().invoke(ctx)
 
 
 class PlainGroup(TyperGroup):

@@ -14,7 +14,13 @@ from rich.text import Text
 from insdvl_replay.cli.messages import log_to_stderr
 from insdvl_replay.core.errors import visible
 from insdvl_replay.core.result import Result
-from insdvl_replay.core.runtime import cache_problem, is_warm, progress_listener
+from insdvl_replay.core.runtime import (
+    LEAST_TO_COMPILE_BYTES,
+    cache_problem,
+    is_warm,
+    progress_listener,
+    require_memory,
+)
 from insdvl_replay.show.render import document as parts_of
 from insdvl_replay.show.render import render
 from insdvl_replay.show.text import for_terminal
@@ -153,4 +159,7 @@ def compiling() -> str:
     if reason := cache_problem():
         text = f"warning: compiled code cannot be stored: {reason}. Each run compiles the filter again, about 20 s"
         log_to_stderr(f"{text}; hint: INSDVL_REPLAY_CACHE=/a/folder/of/yours")
-    return "" if is_warm() else ", the first run compiles the filter (10 s)"
+    if is_warm():
+        return ""
+    require_memory(LEAST_TO_COMPILE_BYTES)
+    return ", the first run compiles the filter (10 s)"

@@ -301,9 +301,17 @@ def compile_(verbose: opt.Verbose = 0) -> None:
       INSDVL_REPLAY_CACHE=/opt/insdvl-replay insdvl-replay compile
     """
     from insdvl_replay.core.config import Config
-    from insdvl_replay.core.runtime import cache_folder, cache_problem, is_warm
+    from insdvl_replay.core.runtime import (
+        LEAST_TO_COMPILE_BYTES,
+        cache_folder,
+        cache_problem,
+        is_warm,
+        require_memory,
+    )
 
     folder, start_s, was_warm = cache_folder(), time.perf_counter(), is_warm()
+    if not was_warm:
+        require_memory(LEAST_TO_COMPILE_BYTES)
     if problem := cache_problem():
         raise ConfigError(
             f"compiled code cannot be stored: {problem}", "INSDVL_REPLAY_CACHE=/a/folder/of/yours insdvl-replay compile"

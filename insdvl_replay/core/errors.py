@@ -206,9 +206,10 @@ def read_text(path: Path) -> str:
 def read_regular(path: Path, most_bytes: int) -> bytes:
     """Read a file that others name. An OSError where it cannot be read, is no regular file, or has more bytes."""
     with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:  # a named pipe is not waited for
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        state = os.fstat(file.fileno())
+        if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, "it is no regular file", str(path))
-        data = file.read(most_bytes + 1)
+        data = file.read(min(state.st_size, most_bytes) + 1)  # Python takes the memory before it reads
     if len(data) > most_bytes:
         raise OSError(errno.EFBIG, f"it has more than {most_bytes >> 20} MiB", str(path))
     return data

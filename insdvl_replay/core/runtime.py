@@ -35,6 +35,16 @@ _NUMBA_OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "nogil": True, 
 _listener: ContextVar[Listener | None] = ContextVar("listener", default=None)
 
 
+LEAST_BYTES: Final = 640 << 20
+"""Address space in which numpy and the compiler can be loaded. With less, their C libraries end the process."""
+LEAST_TO_COMPILE_BYTES: Final = 832 << 20
+"""Address space in which the filter can be compiled: with less, the compiler ends the process."""
+_FULL: Final = 0.5  # share of the limit that is taken when a library that needs a hundred megabytes finds no room
+_LITTLE: Final = 4 << 30  # address space in which one thread multiplies matrices: each needs a buffer
+_OF_LIBRARIES: Final = (ImportError, OSError, RuntimeError, SystemError)
+_COMPILER: Final = ("numba", "llvmlite")
+
+
 def prepare_process() -> None:
     """Set up a process that will replay dives, before numpy is imported.
 
@@ -44,6 +54,47 @@ def prepare_process() -> None:
     """
     gc.set_threshold(_MANY_OBJECTS)
     os.environ.setdefault("NUMPY_MADVISE_HUGEPAGE", "0")
+    limit = memory_limit()
+    if limit is not None and limit < _LITTLE:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+def memory_limit() -> int | None:
+    """Return the limit of this process's address space in bytes (``ulimit -v``), None without one."""
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if limit == resource.RLIM_INFINITY else limit
+
+
+def require_memory(least_bytes: int = LEAST_BYTES) -> None:
+    """Raise a MemoryError where the limit of this process leaves no room for the libraries, or for the compiler."""
+    limit = memory_limit()
+    if limit is not None and limit < least_bytes:
+        raise MemoryError(f"at least {least_bytes / 1e6:.0f} MB are needed")
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Return whether an error is, or hides, a lack of memory.
+
+    Compilers and loaders of libraries raise errors of their own where the limit of the process leaves no room.
+    """
+    if isinstance(error, MemoryError):
+        return True
+    limit = memory_limit()
+    is_of_library = isinstance(error, _OF_LIBRARIES) or type(error).__module__.partition(".")[0] in _COMPILER
+    if limit is None or not is_of_library or getattr(error, "errno", None) is not None:
+        return False
+    return _most_taken() > _FULL * limit
+
+
+def _most_taken() -> int:
+    """Return the most address space that this process had, in bytes; 0 where the system does not say."""
+    with suppress(OSError, ValueError), Path("/proc/self/status").open() as lines:
+        for line in lines:
+            if line.startswith("VmPeak:"):
+                return int(line.split()[1]) << 10
+    return 0
 
 
 def return_freed_memory() -> None:
