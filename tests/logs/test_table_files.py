@@ -374,6 +374,16 @@ def test_changed_bytes_are_no_internal_error(log: tuple[Path, Dive], tmp_path: P
         file.write_bytes(content)
 
 
+def test_rows_that_are_comments_are_counted(tmp_path: Path) -> None:
+    folder = write_pair(tmp_path / "dive")
+    head, *rows = (folder / "dvl.csv").read_text().splitlines()
+    rows[0], rows[9] = f"# {rows[0]}", f"%{rows[9]}"
+    (folder / "dvl.csv").write_text("\n".join(["# made by hand, in 2024", f"# {head}", *rows, ""]))
+    dive = read_dive(folder, Config(imu=IMU, dvl=DVL))
+    assert len(dive.dvl.time_ns) == 48
+    assert [note.count for note in dive.notes if note.code == "table_comments"] == [2]
+
+
 def test_a_quote_in_a_number_is_no_number(tmp_path: Path) -> None:
     folder = write_pair(tmp_path / "dive")
     head, *rows = (folder / "dvl.csv").read_text().splitlines()

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import takewhile
 from typing import Any, Final
 
 import msgspec
@@ -231,6 +232,7 @@ class TableFile(LogFile):
         content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         lines = [line for line in content.split(b"\n") if line.strip()]
         comments = [line for line in lines if line.lstrip().startswith(_COMMENTS)]
+        above = list(takewhile(lambda line: line.lstrip().startswith(_COMMENTS), lines))
         lines = [line for line in lines if not line.lstrip().startswith(_COMMENTS)]
         if lines and not content.endswith(b"\n"):
             lines.pop()
@@ -249,7 +251,9 @@ class TableFile(LogFile):
         if width < 2:
             what = f"is no table: {counted(len(cells), 'line')} with numbers, {counted(width, 'column')}"
             raise UnusableFileError(what, "give a table of numbers whose first line names the columns", self.path)
-        header = lines[0] if head else comments[-1].strip(b" #%") if comments else b""
+        named = [line.strip(b" #%") for line in above]
+        named = [line for line in named if not _is_row(line, separator, width)]
+        header = lines[0] if head else named[-1] if named else b""
         titles = header.decode("utf-8", "replace").split(separator.decode() if separator else None)
         if not head and len(titles) != width:
             titles = []
@@ -262,6 +266,10 @@ class TableFile(LogFile):
             )
         if not titles:
             self._note("table_header", name, "no line names the columns; they are column_1, column_2 ...", warn=False)
+        rows_in_comments = [line for line in comments if _is_row(line.lstrip().lstrip(b"#% "), separator, width)]
+        if rows_in_comments:
+            clause = counted_clause(len(rows_in_comments), "rows of numbers begin with # or % and are left out")
+            self._note("table_comments", name, clause, len(rows_in_comments), warn=False)
         fits = np.array(cells) == width
         if (wrong := int(np.count_nonzero(~fits))) > max(1.0, _FEW * len(cells)):
             raise LogError(f"{wrong} of {len(cells)} rows have other than {width} cells", "one row a line", self.path)
@@ -541,6 +549,12 @@ def _clear_missing(rows: NDArray[np.float64]) -> int:
 
 def _first_word(name: str) -> str:
     return re.split(r"[_.\s]", name)[0].lower()
+
+
+def _is_row(line: bytes, separator: bytes | None, width: int) -> bool:
+    """Return whether a line has as many cells as the rows of a table, and numbers in the first two."""
+    cells = line.split(separator)
+    return len(cells) == width and all(map(_is_number, cells[:2]))
 
 
 def _is_number(cell: bytes) -> bool:
