@@ -131,8 +131,12 @@ def _gravity_remarks(
     sizes = np.linalg.norm(mean_b, axis=1)
     size = float(np.median(sizes))
     ratio = size / gravity
+    step_s = imu.usual_step_s if len(imu.time_ns) > ENOUGH else np.inf
+    is_increment = abs(ratio / step_s - 1.0) < 0.1 and settings.increment_s is None and step_s < 0.09
     if not ratio:
         cure = 'to read another field: imu.specific_force = "field.path"'
+    elif is_increment and settings.specific_force_unit != "mg":
+        cure = f"it is {ratio:.3g} times gravity: increments over {step_s:.4g} s? imu.increment_s = {step_s:.4g}"
     elif unit := next((unit for wrong, unit in _UNIT_BY_RATIO if abs(ratio / wrong - 1.0) < 0.1), None):
         cure = f'imu.specific_force_unit = "{unit}"'
     else:

@@ -54,6 +54,13 @@ class Imu(Section, frozen=True):
             "rad/s | deg/s | mrad/s | mdeg/s | deg/min | deg/h | rad/h | rpm; left out: by type or title, else rad/s"
         ),
     ] = None
+    increment_s: Annotated[
+        Positive | str | None,
+        Comment(
+            "readings are increments (delta velocity, delta angle) over this time, and are divided by it: seconds, or "
+            "the field path of the interval; left out: by type"
+        ),
+    ] = None
     specific_force_scale: Annotated[
         Positive, Comment("measured over true specific force; readings are divided by it")
     ] = 1.0

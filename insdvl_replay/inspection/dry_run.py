@@ -233,9 +233,9 @@ _MOST_WORK_OF_ALL: Final = 1 << 21
 _WIDTHS: Final = range(3, 9)
 _NEVER: Final = re.compile(r"cov|var|std|bias|offset|magn|time|stamp|ang\w*acc|quat|orient")
 _WORDS: Final = {
-    "specific_force": re.compile(r"acc|force|\b[af]x\b"),
+    "specific_force": re.compile(r"acc|force|\b[af]x\b|delta_?v|\bdvx\b"),
     "angular_rate": re.compile(r"gyr|ang|rate|omega|rot|turn|\b[gw]x\b|\bp, (\S+\.)?q, "),
-    "velocity": re.compile(r"^(?!.*(ang|gyr)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
+    "velocity": re.compile(r"^(?!.*(ang|gyr|delta)).*(vel|speed|twist|surge|\bvx\b|\bu, (\S+\.)?v, )"),
     "beam_velocity": re.compile(r"(\[\*\]|beam|trans).*(vel|[._]v$)|vel.*(beam|trans)"),
     "beam_valid": re.compile(r"(\[\*\]|beam|trans).*(valid|lock|good)"),
 }

@@ -13,7 +13,7 @@ from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import ENOUGH, imu_remarks, length_refusal
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
 from insdvl_replay.core.config import Config, Imu
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, error_context
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
@@ -57,6 +57,7 @@ SPEEDS_MPS: Final = (0.1, 5.0)  # over ground of a vehicle under way
 SAME_SPEED: Final = 1.5  # factor within which median speeds of DVL and reference agree
 SPINNING_RADPS: Final = 1.0
 QUARTERS_DEG: Final = frozenset({-90.0, 0.0, 90.0, 180.0})  # headings of a DVL that are tried
+_NEAR: Final = 0.1  # share by which increments of gravity over a step may be off
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 _USE_REFERENCE: Final = "to use it: reference.ignore = false"
 
@@ -334,6 +335,13 @@ def _imu_topics(log: Recording, sources: Sequence[Source], draft: Config, left_o
             left_out.add("imu", source.topic, error)
 
 
+def _increment_s(table: Table, size: float, known: Imu) -> float | None:
+    """Return the step of the samples where readings of a size are increments of gravity over it; None for others."""
+    step_s = float(np.median(np.diff(np.sort(table.time_ns())))) / NS_PER_S if len(table) > ENOUGH else 0.0
+    is_increment = known.increment_s is None and step_s > 0.0 and abs(size / (GRAVITY_MPS2 * step_s) - 1.0) < _NEAR
+    return float(f"{step_s:.4g}") if is_increment else None
+
+
 def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     """Read a topic in SI units, by the size of gravity and of the rates; LogError where it cannot be the IMU."""
     (table,) = read_tables(log, [source])
@@ -342,8 +350,8 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     known = source.completed(own)
     as_read = Hypothesis(known.axes or FRD, known.specific_force_axes or known.axes or FRD)
     force, rate = (
-        measured_vectors(table, "specific_force", "force"),
-        measured_vectors(table, "angular_rate", "rate"),
+        measured_vectors(table, "specific_force", "force", known),
+        measured_vectors(table, "angular_rate", "rate", known),
     )
     sizes = np.linalg.norm(force, axis=1)
     size = float(np.median(sizes[np.isfinite(sizes) & (sizes > 0.0)])) if (sizes > 0.0).any() else np.nan
@@ -354,6 +362,9 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
     if fitting and unit not in fitting:
         values["specific_force_unit"] = fitting[0]
+    elif (step_s := _increment_s(table, size, known)) is not None:
+        values["increment_s"] = step_s
+        turning /= step_s
     elif not fitting and size > 0.0:
         near = min(
             (unit, *SPECIFIC_FORCE_BY_SIZE),
@@ -403,6 +414,9 @@ def _role_notes(
         warn = True
     if settings.specific_force_unit is not None:
         parts.append(f"forces in {settings.specific_force_unit}")
+    if settings.increment_s is not None:
+        parts.append(f"readings are increments over {settings.increment_s} s")
+        warn = True
     if settings.specific_force_scale != 1.0:
         parts.append(f"accelerometers read {settings.specific_force_scale:.3g} times gravity")
         warn = True

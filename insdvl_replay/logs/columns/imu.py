@@ -51,7 +51,8 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     force_axes, force_key = axes, "imu.axes"
     if settings.specific_force_axes is not None:
         force_axes, force_key = settings.specific_force_axes, "imu.specific_force_axes"
-    force, rate = measured_vectors(table, "specific_force", "force"), measured_vectors(table, "angular_rate", "rate")
+    force = measured_vectors(table, "specific_force", "force", settings)
+    rate = measured_vectors(table, "angular_rate", "rate", settings)
     specific_force_b = in_frd(force, force_axes, force_key, force_unit)
     angular_rate_b = in_frd(rate, axes, "imu.axes", rate_unit)
     cleaner = Cleaner(table)
@@ -73,15 +74,20 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     return imu, cleaner.notes
 
 
-def measured_vectors(table: Table, quantity: str, short: str) -> Floats:
+def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> Floats:
     """Return a vector, NaN where its message says by a negative variance that it is not measured.
 
-    What is given with an interval in microseconds is an increment over it; one over no time is NaN.
+    What is given with an interval, by type or by the settings, is an increment over it; one over no time is NaN.
     """
     values = table.values(quantity, 3)
     if f"{short}_interval_us" in table:
         interval_us = table.values(f"{short}_interval_us", 1)
         values = values / np.where(interval_us > 0.0, interval_us * 1e-6, np.nan)
+    elif "increment_s" in table:
+        interval_s = table.values("increment_s", 1)
+        values = values / np.where(interval_s > 0.0, interval_s, np.nan)
+    elif isinstance(settings.increment_s, float):
+        values = values / settings.increment_s
     if f"{quantity}_var" not in table:
         return values
     unmeasured = table.column(f"{quantity}_var") < 0.0

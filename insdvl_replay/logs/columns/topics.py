@@ -98,7 +98,7 @@ _BY_SENSOR: Final = {
 }
 _DVL: Final = ("beam_velocity", "beam_valid", "velocity", "valid", "invalid")
 NEEDS: Final = {
-    "imu": Needs(_IMU, ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
+    "imu": Needs((*_IMU, "increment_s"), ("imu", "imu_of_drivers"), enough=[set(_IMU)]),
     "dvl": Needs(_DVL, ("dvl_beams", "dvl_velocity"), ["dvl_if_named"], [{"beam_velocity"}, {"velocity"}]),
     "reference": Needs(TOPIC_KEYS, ("nav_solution", "odometry"), (*_FIXES, "poses"), _MOTION, _ANGLES),
     "fix": Needs(groups=_FIXES, enough=[_POSITION]),
@@ -117,11 +117,13 @@ _KINDS: Final = {
     "velocity_n": ("velocity", ""),
     "velocity_b": ("velocity", ""),
     "pressure": ("pressure", "pressure_unit"),
+    "increment_s": ("time", ""),
     "depth": ("length", ""),
     "height": ("length", ""),
     **dict.fromkeys(("latitude", "longitude", "roll", "pitch", "heading"), ("angle", "angle_unit")),
 }
-
+# Of increments over a time: their kind, and the unit in which they give the usual one of the rate.
+_INCREMENTS: Final = {"specific_force": ("velocity", "m/s"), "angular_rate": ("angle", "rad")}
 UNUSED_FLAGS: Final = "unused_flags"  # columns of a table that may mark pings as invalid, and that no setting names
 LOG_TOPIC: Final = "topics."  # begins the role of a topic for user-defined measurements
 BOW_DOWN: Final = "_bow_down"  # ends the name of a pitch with the opposite sign
@@ -189,6 +191,7 @@ class TopicRequirement:
     latency_s: float = 0.0  # from validity to stamp
     frames: tuple[str, str] | None = None  # parent and child of the transforms that count
     unit_keys: AbstractSet[str] = frozenset()  # keys of units that the settings have
+    has_increments: bool = False  # whether the readings of an IMU are increments
 
     @property
     def by_type(self) -> list[Types]:
@@ -272,7 +275,10 @@ class TopicRequirement:
             kind, key = _KINDS.get(quantity, ("", ""))
             if not kind or key in self.unit_keys:
                 continue
-            units, usual = UNITS_BY_KIND[kind], USUAL_UNITS[kind]
+            usual = USUAL_UNITS[kind]
+            if self.has_increments and quantity in _INCREMENTS:
+                kind, usual = _INCREMENTS[quantity]
+            units = UNITS_BY_KIND[kind]
             for path in split_paths(joined):
                 column = column_of(channel, path)
                 unit = channel.metadata.get(column, usual)
@@ -281,6 +287,9 @@ class TopicRequirement:
                 elif unit != unit_at_end(column):
                     text = f"column '{column}' of {channel.topic} is in '{unit}', which is no known unit of {kind}"
                     or_set = f", or set {self.role}.{key}" if key else ""
+                    of_increments = _INCREMENTS.get(quantity)
+                    if of_increments and unit in UNITS_BY_KIND[of_increments[0]]:
+                        or_set = f"; of increments set {self.role}.increment_s, the interval in seconds"
                     raise LogError(text, f"known are {', '.join(units)}: convert the column{or_set}")
         return {path: factor for path, factor in factors.items() if factor != 1.0}
 
@@ -297,12 +306,15 @@ class TopicRequirement:
 def requirement(role: str, section: Any, kind: str = "", key: str = "topic") -> TopicRequirement:
     """State what a role of some kind needs; its section of the settings names topic, fields and stamp."""
     needs = NEEDS[kind or role]
+    given = {quantity: getattr(section, quantity) for quantity in needs.quantities}
     return TopicRequirement(
         role=role,
         needs=needs,
         key=f"{role}.{key}",
         topic=getattr(section, key),
-        paths={quantity: getattr(section, quantity) for quantity in needs.quantities},
+        paths={quantity: path for quantity, path in given.items() if isinstance(path, str)}
+        | {quantity: None for quantity, path in given.items() if not isinstance(path, str)},
+        has_increments=given.get("increment_s") is not None,
         stamp=section.stamp,
         latency_s=section.latency_s,
         frames=getattr(section, "frames", None) if key == "topic" else None,
