@@ -74,7 +74,8 @@ SMOOTHED: Final = "a DVL that smooths would look the same"
 NOISE_ALONE: Final = "not above the noise of this IMU"
 # A step of fewer standard deviations ends the fit with the configured noise.
 NEARLY_SETTLED: Final = 0.5
-# An estimate further from the configuration, in sds of the prior, has another cause.
+# An estimate further from the configuration, in sds of the prior, has another cause. A mounting that is determined well
+# is proposed all the same, with a warning: many are configured as a quarter turn that they are not.
 PLAUSIBLE_SDS: Final = 3.0
 PLAUSIBLE_SCALE: Final = 0.05
 MANY_TIMES: Final = 3.0  # Birge ratio from which dives contradict each other
@@ -197,6 +198,11 @@ def calibrate(
     )
 
 
+def _is_far(row: int, change: float) -> bool:
+    """Return whether an estimate is further from the configuration than usual."""
+    return bool(abs(change) > PLAUSIBLE_SDS * PARAMETERS[row].prior_sd)
+
+
 def _is_wild(scale: float) -> bool:
     return bool(abs(np.expm1(scale)) > PLAUSIBLE_SCALE)
 
@@ -215,7 +221,7 @@ def _refused(certainty: Certainty, change: Floats, asked: Mask, noise_shares: Fl
         elif row == SCALE and _is_wild(change[row]):
             reason = "larger than any error of the speed of sound. The DVL may smooth, or the stamps may jitter"
             yield row, (Estimated.IMPLAUSIBLE, reason)
-        elif abs(change[row]) > PLAUSIBLE_SDS * parameter.prior_sd:
+        elif _is_far(row, change[row]) and not (parameter.group == "mounting" and seen >= WEAK):
             yield row, (Estimated.IMPLAUSIBLE, "too far from the configuration. Check the axes")
 
 
@@ -259,6 +265,11 @@ def _warnings(
     weak = ", ".join(NAMES[row] for row in np.flatnonzero(free) if certainty.signal_to_noise[row] < WEAK)
     if weak:
         yield f"weakly observable, signal to noise below {WEAK:g}: {weak}. Test the result on other dives (--hold-out)"
+    for index in np.flatnonzero(free).tolist():
+        off = float(mean_change(found)[index])
+        if _is_far(index, off):
+            off_deg = off * PARAMETERS[index].shown_as
+            yield f"{NAMES[index]} is {off_deg:+.1f} deg from the configuration. Check that the axes are right"
     for first, second, correlation in correlations(found, INSEPARABLE):
         yield f"{first} and {second} are strongly correlated ({correlation:+.2f})"
     for dive in dives:

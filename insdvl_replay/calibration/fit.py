@@ -15,6 +15,15 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from insdvl_replay.calibration.free_mounting import (
+    NEAR_QUARTER_RAD,
+    LevelDvl,
+    angle_between,
+    averaged_imu,
+    down_of,
+    free_mounting,
+    velocities_of,
+)
 from insdvl_replay.calibration.innovations import (
     DELAY,
     LATEST_S,
@@ -256,6 +265,7 @@ AXES: Final[tuple[Floats, ...]] = tuple(
 CLEARLY: Final = 0.8  # ratio of costs below which the second mounting is clearly worse
 NOT_FAR_OFF: Final = 4.0  # ratio to the least cost above which no arm or delay makes a mounting the best
 MOST_FITTED: Final = 6
+MOST_FREE: Final = 3  # dives that are fitted freely
 _ARM_AND_DELAY: Final = np.array([parameter.group in ("arm", "delay") for parameter in PARAMETERS])
 
 
@@ -280,7 +290,7 @@ def with_mounting(config: Config, rpy_deg: tuple[float, float, float]) -> Config
 
 
 def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
-    """Try all possible mountings, and return the likeliest first.
+    """Try quarter turns and the free fits of each dive, and return the likeliest first.
 
     An unknown arm or delay can make a wrong mounting look better. So the best ones, and the configured one, are tried
     again with fitted arm and delay. These come before all others.
@@ -301,8 +311,9 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
         return TriedMounting(rpy_deg, sum(map(robust_cost, left)))
 
     first = []
-    for turn in track_progress("trying mountings", possible_axes(dives[0].dive.dvl)):
-        roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()  # no -0.0
+    turns = [*possible_axes(dives[0].dive.dvl), *_free_turns(dives)]
+    for turn in track_progress("trying mountings", turns):
+        roll, pitch, heading = (np.round(rpy_from_mat(turn) / DEG, 2) + 0.0).tolist()  # no -0.0
         first.append(tried((roll, pitch, heading), fitted=False))
     first.sort(key=lambda mounting: mounting.cost)
     near = [mounting for mounting in first if mounting.cost < NOT_FAR_OFF * first[0].cost][:MOST_FITTED]
@@ -311,6 +322,21 @@ def tried_mountings(dives: Sequence[ReadDive]) -> list[TriedMounting]:
     fitted = [tried(mounting.rpy_deg, fitted=True) for mounting in track_progress(stage, near)]
     others = [mounting for mounting in first if mounting not in near]
     return sorted(fitted, key=lambda mounting: mounting.cost) + others
+
+
+def _free_turns(dives: Sequence[ReadDive]) -> list[Floats]:
+    """Return the rotations from DVL to IMU that fit the motion of single dives, (3, 3), where no quarter turn does."""
+    found: list[Floats] = []
+    for read in dives[:MOST_FREE]:
+        dvl = read.dive.dvl
+        free = free_mounting(averaged_imu(read.dive.imu), *velocities_of(dvl), AXES)
+        if free is None:
+            continue
+        level = LevelDvl(free, down_of(read.dive.imu), dvl.look_d)
+        # A DVL that does not say where it looks may be built in on its side.
+        found += level.minima if dvl.look_d is None else [turn for turn in level.minima if level.is_possible(turn)]
+        found += [] if dvl.look_d is not None else free.minima[:1]
+    return [turn for turn in found if min(angle_between(turn, quarter) for quarter in AXES) > NEAR_QUARTER_RAD]
 
 
 def likeliest_mounting(dives: Sequence[ReadDive]) -> tuple[float, float, float]:

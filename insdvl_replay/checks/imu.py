@@ -30,6 +30,9 @@ ENOUGH: Final = 20  # fewer pairs may agree by chance
 LONGEST_STEP_S: Final = 2.5  # longer steps are not used
 FASTEST_HZ: Final = 10_000.0  # no IMU is read more often
 LEAST_DIVE_S: Final = 1.0  # what is shorter is no dive, or its times are in another unit
+SMALLEST: Final = 1e-3  # weight of no rotation at all, where the vectors leave a turn about one axis open
+LEAST_SEEN: Final = 0.2  # second singular value from which vectors determine a rotation; one alone has 0
+NO_PAIRS: Final = (np.empty((0, 3)), np.empty((0, 3)))
 SPIN_RADPS: Final = 1.0  # no vehicle that a DVL can follow turns faster than this half of the time
 
 _LEAST_S: Final = 2.0  # a shorter log is no reason to refuse it
@@ -188,6 +191,49 @@ def gyro_by_attitude(imu: ImuColumns, reference: ReferenceColumns) -> AttitudeFi
         excursion=np.ptp(np.cumsum(turned, axis=0), axis=0),
         by_axis=_correlation(product, power * summed_power),
     )
+
+
+def turn_to_reference(
+    imu: ImuColumns, reference: ReferenceColumns, velocities: tuple[Floats, Floats] = NO_PAIRS
+) -> Floats | None:
+    """Return the constant rotation from the IMU's axes to those of the reference's attitude, (3, 3).
+
+    Turns, gravity, and perhaps velocities of the DVL and of the reference, both (k, 3), are compared in the axes of
+    both. Where these leave a turn about one axis open, it is the smallest rotation. None without attitudes.
+    Source: Wahba, "A least squares estimate of satellite attitude", 1965; solved by Markley, "Attitude determination
+    using vector observations and the singular value decomposition", 1988.
+    """
+    rows = np.flatnonzero(np.isfinite(reference.mat_nb).all(axis=(1, 2)) & lies_within(reference.time_ns, imu.time_ns))
+    if len(rows) < ENOUGH:
+        return None
+    time_s, mat_nb = seconds(reference.time_ns[rows], imu.time_ns[0]), reference.mat_nb[rows]
+    step_s = np.diff(time_s)
+    turned = vector_from_mat(np.swapaxes(mat_nb[:-1], 1, 2) @ mat_nb[1:])
+    summed = np.diff(turned_by(imu, time_s), axis=0)
+    size = np.linalg.norm(turned, axis=1)
+    good = (step_s <= LONGEST_STEP_S) & (size > 0.3 * DEG * step_s) & (size < 1.0)
+    sample_s = seconds(imu.time_ns, imu.time_ns[0])
+    pushed = np.column_stack([integrated(sample_s, force, time_s) for force in imu.specific_force_b.T])
+    force = np.diff(pushed, axis=0)[step_s <= LONGEST_STEP_S]
+    up = -0.5 * (mat_nb[1:, 2] + mat_nb[:-1, 2])[step_s <= LONGEST_STEP_S]
+    pairs = [(summed[good], turned[good]), (force, up), velocities]
+    total = np.zeros((3, 3))
+    for ours, theirs in pairs:
+        if len(ours) < ENOUGH:
+            continue
+        power = float(np.linalg.norm(ours) * np.linalg.norm(theirs))
+        if power > 0.0:
+            total += theirs.T @ ours / power
+    if np.linalg.svd(total, compute_uv=False)[1] < LEAST_SEEN:
+        total += SMALLEST * np.eye(3)
+    left, _, right = np.linalg.svd(total)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right)
+
+
+def integrated(sample_s: Floats, values: Floats, at_s: Floats) -> Floats:
+    """Integrate samples by trapezoids from the first to times, (k,)."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(sample_s)
+    return np.asarray(np.interp(at_s, sample_s, np.concatenate([[0.0], np.cumsum(steps)])))
 
 
 def _correlation(product: Floats, powers: Floats) -> Floats:

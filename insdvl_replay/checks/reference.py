@@ -28,6 +28,7 @@ from insdvl_replay.checks.imu import (
     gyro_by_gravity,
     imu_remarks,
     lies_within,
+    turn_to_reference,
     turned_by,
 )
 from insdvl_replay.checks.sentences import Remark, ignore_hint, refusal, warning
@@ -44,7 +45,7 @@ from insdvl_replay.core.dive_columns import (
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
-from insdvl_replay.geometry.rotation import vector_from_mat, wrap_angle
+from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, vector_from_mat, wrap_angle
 
 UNIT_WRONG: Final = 5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
 _PINGS_LATE: Final = 3  # by which a velocity of the DVL is reported late by another topic
@@ -75,7 +76,13 @@ def plausibility_remarks(
     """Check IMU, DVL and reference; the place is the file in messages to the user."""
     by_attitude, track = _comparisons(imu, dvl, reference, config)
     yield from imu_remarks(place, imu, reference, config.imu)
-    yield from _gyro_remarks(place, imu, by_attitude, _best_scale(imu, by_attitude, track), config.imu)
+    turn = _turn_that_follows(imu, reference, by_attitude)
+    if turn is None:
+        yield from _gyro_remarks(place, imu, by_attitude, _best_scale(imu, by_attitude, track), config.imu)
+    else:
+        turn = turn @ mat_from_rpy(np.array(config.imu.mounting_rpy_deg) * DEG)
+        roll, pitch, heading = (rpy_from_mat(turn) / DEG + 0.0).tolist()
+        yield warning("imu_turned", len(imu.time_ns), roll=roll, pitch=pitch, heading=heading)
     yield from dvl_remarks(place, dvl, reference, config)
     if reference is not None:
         yield from reference_notes(imu, dvl, reference)
@@ -124,6 +131,18 @@ def _best_scale(imu: ImuColumns, by_attitude: AttitudeFit | None, track: TrackFi
         if by_gravity is not None
         else None
     )
+
+
+def _turn_that_follows(imu: ImuColumns, reference: ReferenceColumns | None, found: AttitudeFit | None) -> Floats | None:
+    """Return the constant rotation with which gyros follow a reference that they do not follow without it, (3, 3)."""
+    if reference is None or found is None or abs(found.correlation) >= INCOHERENT:
+        return None
+    turn = turn_to_reference(imu, reference)
+    if turn is None:
+        return None
+    turned = ImuColumns(imu.time_ns, imu.specific_force_b @ turn.T, imu.angular_rate_b @ turn.T)
+    again = gyro_by_attitude(turned, reference)
+    return turn if again is not None and again.correlation >= COHERENT else None
 
 
 def _gyro_remarks(

@@ -66,6 +66,12 @@ _SENTENCES: Final = {
         "the angular rate does not agree with the change of the reference's attitude (correlation {correlation:.2f})",
         f"check imu.axes, reference.axes, imu.stamp and reference.stamp{_IGNORE}",
     ),
+    "imu_turned": (
+        "the IMU's axes are turned against those of the reference's attitude, by roll, pitch and heading {roll:.1f}, "
+        "{pitch:.1f} and {heading:.1f} deg in the whole dive",
+        "imu.mounting_rpy_deg = [{roll:.1f}, {pitch:.1f}, {heading:.1f}] if the IMU is built in obliquely; "
+        "reference.mounting_rpy_deg if the reference is",
+    ),
     "imu_gyro_axis": (
         "the angular rate {axis} has the opposite sign of the reference's (correlation {correlation:.2f}), but another "
         "axis agrees",

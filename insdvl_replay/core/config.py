@@ -69,6 +69,9 @@ class Imu(Section, frozen=True):
     specific_force_axes: Annotated[str | None, Comment("if they differ from axes; left out: by type, else as axes")] = (
         None
     )
+    mounting_rpy_deg: Annotated[
+        Vector, Comment("these axes to the body's, roll, pitch, heading; for an IMU that is built in obliquely")
+    ] = (0.0, 0.0, 0.0)
     stamp: Stamp = None
     latency_s: StampLatency = 0.0
     min_rate_hz: Annotated[NotNegative, Comment("a slower IMU is an error")] = 20.0

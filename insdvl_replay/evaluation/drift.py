@@ -35,6 +35,7 @@ SLOWEST_MPS: Final = 0.1  # A slower vehicle has no course.
 SMALLEST_JUMP_M: Final = 0.5
 # Residuals of tracks are averaged over this time, which leaves the drift and removes the noise of fixes.
 AVERAGED_S: Final = 20.0
+LEAST_AVERAGED_S: Final = 6.0  # In short dives it is less, but some fixes of 1 Hz.
 FEWEST_AVERAGES: Final = 6  # From fewer there is no standard error.
 
 Complexes = NDArray[np.complex128]
@@ -232,12 +233,12 @@ def track_fit(
     return TrackFit(scale_pct, 100.0 * scale_sd, turn_deg, turn_sd / DEG)
 
 
-def _changes(time_ns: TimeNs, weights: Complexes, residuals: Complexes) -> Complexes:
+def _changes(time_ns: TimeNs, weights: Complexes, residuals: Complexes, length_s: float = AVERAGED_S) -> Complexes:
     """Return the effect of each change between averaged residuals on the weighted fit, shape (..., k).
 
     Each change moves all that follows it, with the weight that the points behind it have in the fit.
     """
-    first = thinned(time_ns, AVERAGED_S)
+    first = thinned(time_ns, length_s)
     averages = np.add.reduceat(residuals, first) / np.diff(first, append=len(time_ns))
     behind = np.cumsum(np.add.reduceat(weights, first, axis=-1)[..., ::-1], axis=-1)[..., ::-1]
     return np.asarray(behind[..., 1:] * np.diff(averages))
@@ -277,7 +278,9 @@ def heading_fit(
     found = np.einsum("ika,ka->i", weights, off_m)
     complex_weights: Complexes = np.asarray(weights @ [1.0, -1.0j])
     residuals: Complexes = np.asarray((off_m - columns @ found) @ np.array([1.0, 1.0j]))
-    changes = _changes(time_ns, complex_weights, residuals).real
+    span_s = float(time_ns[-1] - time_ns[0]) * 1e-9
+    length_s = min(AVERAGED_S, max(LEAST_AVERAGED_S, span_s / (FEWEST_AVERAGES + 1.5)))
+    changes = _changes(time_ns, complex_weights, residuals, length_s).real
     if changes.shape[1] < FEWEST_AVERAGES:
         return None
     correlated = np.sqrt([len(part) / max(samples_in_mean(part), 1.0) for part in changes])

@@ -7,6 +7,7 @@ share; it measures levels, accelerometer biases, gyro biases through gravity, le
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ OUTAGE: Final = 2.5  # A gap of this many usual intervals is an outage; a single
 # With fewer pings in a window, the trapezoidal rule makes the drift over 1 % too large.
 FEWEST_PINGS: Final = 6
 NAN: Final = float("nan")
+GEOMETRY: Final = 10.0  # mean NIS per degree of freedom that no noise of the sensors explains
 ALARM: Final = 2.0  # A smaller mean NIS per degree of freedom is no alarm: sigma is too small by less than 30 %.
 SURELY: Final = 0.999  # Probability of no alarm by chance, for each filter and length.
 
@@ -248,11 +250,14 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
     return rows
 
 
-def outage_alarm(rows: Sequence[OutageRow], names: Collection[str]) -> str:
+def outage_alarm(
+    rows: Sequence[OutageRow], names: Collection[str], under_way: Mapping[str, float] = MappingProxyType({})
+) -> str:
     """Say that the sigma of a filter grows too slowly without the DVL; empty if it does not.
 
     The NIS at the ends of windows of one length are chi-square and nearly independent. The window length that exceeds
-    its limit most is reported.
+    its limit most is reported. No noise makes it this large where the innovations under way, as NIS / dof of each
+    filter, are consistent: then the geometry is wrong.
     """
     excess = {
         (row.window_s, row.filter): finite(row.nis_per_dof) / max(ALARM, chi_square_quantile(SURELY, dof) / dof)
@@ -264,4 +269,7 @@ def outage_alarm(rows: Sequence[OutageRow], names: Collection[str]) -> str:
         return ""
     known = [row for row in rows if row.window_s == window_s and row.filter in names and row.nis_per_dof is not None]
     sizes = [f"{row.filter} {row.nis_per_dof:.3g}" for row in known]
-    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1. Raise [noise]."
+    cure = "Raise [noise]."
+    if any(finite(row.nis_per_dof) > GEOMETRY > 5.0 * under_way.get(row.filter, np.inf) for row in known):
+        cure = "The geometry is wrong: check dvl.mounting_rpy_deg, imu.axes and dvl.lever_arm_m."
+    return f" NIS / dof after {window_s} s without DVL: {', '.join(sizes)}, expected 1. {cure}"

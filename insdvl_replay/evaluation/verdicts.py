@@ -355,7 +355,9 @@ def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:
 
     If the candidate is aided by a sensor other than the DVL, the sentence has the NIS/dof of each of its sensors.
     """
-    alarm = outage_alarm(tables.outage, (baseline, candidate))
+    rows = [row for row in tables.consistency if row.measurement == "velocity" and row.dof]
+    under_way = {row.filter: finite(row.mean_nis) / row.dof for row in rows}
+    alarm = outage_alarm(tables.outage, (baseline, candidate), under_way)
     consistency_words, baseline_trust = _trust(tables, candidate), _trust(tables, baseline)
     if consistency_words == Consistency.NOT_AVAILABLE:
         return f"{candidate} reports no sigma, {baseline} is {baseline_trust}.{alarm}"

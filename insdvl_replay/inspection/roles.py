@@ -22,6 +22,7 @@ from insdvl_replay.geometry.frames import look_down
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
+from insdvl_replay.inspection.free_turns import in_body, turn_freely
 from insdvl_replay.inspection.proposal import (
     Given,
     Proposal,
@@ -42,6 +43,7 @@ from insdvl_replay.inspection.trials import (
     Trials,
     as_reference_moves,
     rates_compared,
+    rpy_of,
     thinned,
     trial_config,
 )
@@ -58,6 +60,8 @@ SAME_SPEED: Final = 1.5  # factor within which median speeds of DVL and referenc
 SPINNING_RADPS: Final = 1.0
 QUARTERS_DEG: Final = frozenset({-90.0, 0.0, 90.0, 180.0})  # headings of a DVL that are tried
 _NEAR: Final = 0.1  # share by which increments of gravity over a step may be off
+# Settings with which a person has said where forward is.
+BODY_KEYS: Final = ("imu.axes", "imu.mounting_rpy_deg", "dvl.mounting_rpy_deg", "reference.mounting_rpy_deg")
 UNKNOWN_LATITUDE_DEG: Final = 45.0
 _USE_REFERENCE: Final = "to use it: reference.ignore = false"
 
@@ -258,6 +262,8 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
         with error_context(place):
             raise too_few[0]
     tried.sort(key=lambda found: found[0].cost)
+    first, _, first_topic = tried[0]
+    free = turn_freely(first, pings[first_topic])
     for trials, *_ in tried:
         least = min(found.cost for found, *_ in tried)
         if trials.cost <= NOT_FAR_OFF * least and (trials is tried[0][0] or least > CONSISTENT):
@@ -273,7 +279,11 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     dive = Dive("", imu.columns, pings[dvl_topic], reference=read.reference)
     best = as_reference_moves(trials.close, dive, draft)
     best = best if trials.allows(best) else trials.close[0]
-    alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (best.axes, best.force_axes)}
+    others = _rivals_of(best, trials.close)
+    chosen = best
+    if not given.has(*BODY_KEYS):
+        best = in_body(best, dive, draft, is_as_read=best.axes == imu.as_read.axes)
+    alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (chosen.axes, chosen.force_axes)}
     if alike >= QUARTERS_DEG and not given.has("dvl.mounting_rpy_deg"):
         raise LogError(
             "the vehicle moves too little to find the mounting of the DVL: all headings fit as well",
@@ -282,7 +292,9 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
         )
     looks = pings[dvl_topic].look_d
     notes += read.notes
-    notes += _role_notes(tried, best, imus)
+    others = [_turned_with(chosen, best, rpy_deg) for rpy_deg in others]
+    others += [] if free is None or trials is not first else free.alternatives(best)
+    notes += _role_notes(tried, best, imus, others)
     if read.clocks:
         times = "; ".join(f"{setting.key} {setting.value}, {setting.seen}" for setting in read.clocks)
         notes.append(found_note("found_clocks", f"times of the tables: {times}", warn=True))
@@ -293,12 +305,26 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
         draft = with_values(draft, "dvl", topic=dvl_topic)
     if dvl_topic in read.velocity_units:
         draft = with_values(draft, "dvl", velocity_unit=read.velocity_units[dvl_topic])
-    if looks is None or look_down(looks):
+    if looks is None or look_down(looks) or any(angle % 90.0 for angle in best.rpy_deg):
         return with_values(draft, "dvl", mounting_rpy_deg=best.rpy_deg), trials.cost
     # The beams point down in other axes.
     read_b = in_frd(np.eye(3), draft.dvl.axes or FRD, "dvl.axes").T
     turn = np.rint(mat_from_rpy(np.array(best.rpy_deg) * DEG))
     return with_values(draft, "dvl", axes=axes_text(turn @ read_b)), trials.cost
+
+
+def _rivals_of(best: Hypothesis, close: Sequence[Hypothesis]) -> list[tuple[float, float, float]]:
+    """Return other mountings of the DVL that are as good with the same axes of the IMU."""
+    same = [one for one in close if (one.axes, one.force_axes) == (best.axes, best.force_axes)]
+    return list(dict.fromkeys(one.rpy_deg for one in same if one.rpy_deg != best.rpy_deg))
+
+
+def _turned_with(
+    first: Hypothesis, body: Hypothesis, rpy_deg: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Turn a mounting of the DVL as the body of one hypothesis was turned to that of another one."""
+    turn = body.gyro_turn @ first.gyro_turn.T
+    return rpy_of(turn @ mat_from_rpy(np.array(rpy_deg) * DEG))
 
 
 def _as_configured(imu: _ImuTopic, best: Hypothesis, given: Imu, *, is_alone: bool) -> Imu:
@@ -314,6 +340,7 @@ def _as_configured(imu: _ImuTopic, best: Hypothesis, given: Imu, *, is_alone: bo
         values["angular_rate_unit"] = unit
     if scale != 1.0:
         values["angular_rate_scale"] = float(f"{settings.angular_rate_scale * scale:.4g}")
+    values["mounting_rpy_deg"] = best.imu_rpy_deg
     if is_alone and given.topic is None and settings.specific_force is None:
         values["topic"] = None
     return msgspec.structs.replace(settings, **values)
@@ -348,7 +375,9 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     is_meant = draft.imu.topic in (None, source.topic)
     own = draft.imu if is_meant else msgspec.structs.replace(Imu(), stamp=draft.imu.stamp)
     known = source.completed(own)
-    as_read = Hypothesis(known.axes or FRD, known.specific_force_axes or known.axes or FRD)
+    as_read = Hypothesis(
+        known.axes or FRD, known.specific_force_axes or known.axes or FRD, imu_rpy_deg=own.mounting_rpy_deg
+    )
     force, rate = (
         measured_vectors(table, "specific_force", "force", known),
         measured_vectors(table, "angular_rate", "rate", known),
@@ -358,6 +387,7 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     rates = np.linalg.norm(rate, axis=1)
     turning = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else np.nan
     values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
+    values["mounting_rpy_deg"] = Imu().mounting_rpy_deg
     unit = known.specific_force_unit or "m/s2"
     fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
     if fitting and unit not in fitting:
@@ -392,7 +422,10 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
 
 
 def _role_notes(
-    tried: Sequence[tuple[Trials, _ImuTopic, str]], best: Hypothesis, imus: Sequence[_ImuTopic]
+    tried: Sequence[tuple[Trials, _ImuTopic, str]],
+    best: Hypothesis,
+    imus: Sequence[_ImuTopic],
+    others_deg: Sequence[tuple[float, float, float]],
 ) -> Iterator[Note]:
     """Report the topics and axes that were chosen, and which others are as good."""
     trials, imu, dvl_topic = tried[0]
@@ -405,6 +438,8 @@ def _role_notes(
         warn = min(others.values()) * CLEARLY < 1.0
     if (best.axes, best.force_axes) != (imu.as_read.axes, imu.as_read.force_axes):
         parts.append(f"axes {best.axes}" + (f", of forces {best.force_axes}" if best.force_axes != best.axes else ""))
+    if any(best.imu_rpy_deg):
+        parts.append(f"built in with roll, pitch, heading {_rpy(best.imu_rpy_deg)} deg")
     settings, (unit, scale) = imu.settings, _rate_unit(best)
     scale *= settings.angular_rate_scale
     if unit or settings.angular_rate_unit == "deg/s":
@@ -426,11 +461,11 @@ def _role_notes(
         if correlation > SAME_MOTION and abs(ratio - 1.0) > LARGEST_APART:
             parts.append(f"the gyros of {other.topic} read {ratio:.3g} times as much")
     yield found_note("found_imu", "; ".join(parts), 'to use another: imu.topic = "/topic"', warn=warn)
-    rivals = [one for one in trials.close if one.rpy_deg != best.rpy_deg]
-    apart = {one.rpy_deg for one in rivals if one.axes == best.axes and one.force_axes == best.force_axes}
+    apart = set(others_deg)
     text = f"DVL {dvl_topic}, mounting {_rpy(best.rpy_deg)} deg"
     if apart:
-        text += f"; also possible: {' or '.join(map(_rpy, sorted(apart)))}"
+        fitting = " or ".join(map(_rpy, sorted(apart)))
+        text = f"the mounting of DVL {dvl_topic} cannot be determined: {_rpy(best.rpy_deg)} deg is used, {fitting} fits"
     yield found_note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=bool(apart))
 
 

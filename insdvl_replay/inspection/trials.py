@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.fit import possible_axes, robust_cost
+from insdvl_replay.calibration.free_mounting import averaged_imu, samples_in_step
 from insdvl_replay.calibration.innovations import NO_CHANGE, ReadDive
 from insdvl_replay.checks.dvl import fit, velocity_pairs
 from insdvl_replay.checks.imu import ENOUGH, gyro_by_attitude
@@ -25,10 +26,9 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import horizontal
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
 from insdvl_replay.inspection.proposal import Given, axes_text, level_axes
-from insdvl_replay.logs.columns.imu import FRD, in_frd
+from insdvl_replay.logs.columns.imu import FRD, in_frd, turned_to_body
 
 STRETCH_S: Final = 240.0
-IMU_STEP_S: Final = 0.04
 PING_STEP_S: Final = 0.5
 FEWEST: Final = 3  # averaged samples, and pings, of which a stretch can be replayed
 COARSE: Final = Noise(
@@ -59,14 +59,33 @@ class Hypothesis:
     rate_scale: float = 1.0  # measured over true
     rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the DVL
     cost: float = np.inf
+    imu_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of the IMU, beyond its axes
 
     def applied(self, imu: ImuColumns) -> ImuColumns:
         """Bring readings to the axes of the body."""
-        return replace(
+        in_axes = replace(
             imu,
             specific_force_b=in_frd(imu.specific_force_b, self.force_axes, "imu.specific_force_axes"),
             angular_rate_b=in_frd(imu.angular_rate_b, self.axes, "imu.axes", 1.0 / self.rate_scale),
         )
+        return turned_to_body(in_axes, self.imu_rpy_deg)
+
+    @property
+    def gyro_turn(self) -> Floats:
+        """The map from the gyros' axes to the body's, (3, 3)."""
+        return mat_from_rpy(np.array(self.imu_rpy_deg) * DEG) @ map_of(self.axes)
+
+    @property
+    def relation(self) -> tuple[object, ...]:
+        """What no rotation of the IMU changes: the forces' axes among the gyros', and the scale."""
+        between = map_of(self.force_axes).T @ map_of(self.axes)
+        return (*np.rint(between).ravel().tolist(), self.rate_scale)
+
+    def with_body_turned(self, turn: Floats) -> "Hypothesis":
+        """Turn the body's axes, (3, 3), so that IMU and DVL fit each other as before."""
+        imu = turn @ mat_from_rpy(np.array(self.imu_rpy_deg) * DEG)
+        dvl = turn @ mat_from_rpy(np.array(self.rpy_deg) * DEG)
+        return replace(self, imu_rpy_deg=rpy_of(imu), rpy_deg=rpy_of(dvl))
 
 
 def thinned(dive: Dive) -> Dive:
@@ -75,19 +94,13 @@ def thinned(dive: Dive) -> Dive:
     A LogError where there are too few of them.
     """
     imu, dvl = dive.imu, dive.dvl
-    size = max(1, round(IMU_STEP_S / imu.usual_step_s))
-    blocks = len(imu.time_ns) // size
+    blocks = len(imu.time_ns) // samples_in_step(imu)
     if blocks < FEWEST or len(dvl.time_ns) < FEWEST:
         found = f"{counted(len(imu.time_ns), 'sample')} of the IMU and {counted(len(dvl.time_ns), 'ping')} of the DVL"
         raise LogError(f"has {found}, too few to find settings", "use a longer part of the dive")
-    time_ns = imu.time_ns[: blocks * size].reshape(blocks, size)
-    middle_ns = time_ns[:, 0] + ((time_ns - time_ns[:, :1]).mean(axis=1)).astype(np.int64)
-    force, rate = (
-        readings[: blocks * size].reshape(blocks, size, 3).mean(axis=1)
-        for readings in (imu.specific_force_b, imu.angular_rate_b)
-    )
     apart = np.append(True, np.diff((dvl.time_ns - dvl.time_ns[0]) // int(PING_STEP_S * NS_PER_S)) > 0)
-    imu, dvl = ImuColumns(middle_ns, force, rate), dvl.rows(apart)
+    imu, dvl = averaged_imu(imu), dvl.rows(apart)
+    middle_ns, force, rate = imu.time_ns, imu.specific_force_b, imu.angular_rate_b
     first_ns, last_ns = max(middle_ns[0], dvl.time_ns[0]), min(middle_ns[-1], dvl.time_ns[-1])
     length_ns = int(STRETCH_S * NS_PER_S)
     if last_ns - first_ns > length_ns:
@@ -138,12 +151,17 @@ class Trials:
     def __init__(self, dive: Dive, config: Config, as_read: Hypothesis, given: Given) -> None:
         self.dive, self.config, self.as_read, self.given = dive, config, as_read, given
         self.found = [as_read]
+        # Of hypotheses that are one vehicle turned about down, the first is nearest to what is as read.
+        self.order: list[Hypothesis] = [as_read]
+        given_rpy_deg = given.config.dvl.mounting_rpy_deg if given.has("dvl.mounting_rpy_deg") else None
+        self.mountings = None if given_rpy_deg is None else [given_rpy_deg]
         if not (len(dive.imu.time_ns) and len(dive.dvl.time_ns)):
             return
         fastest_radps = float(np.quantile(np.linalg.norm(dive.imu.angular_rate_b, axis=1), 0.99))
         scales = [1.0, DEG_PER_S] if fastest_radps > FAST_RADPS else [1.0]
-        possible = [replace(one, rate_scale=scale) for scale in scales for one in mounted(dive, as_read)]
-        self.found = self._tried(possible) or self.found
+        ways = list(mounted(dive, as_read, self.mountings))
+        self.order = [replace(one, rate_scale=scale) for scale in scales for one in ways]
+        self.found = self._tried(self.order) or self.found
 
     @property
     def cost(self) -> float:
@@ -177,8 +195,8 @@ class Trials:
         force_axes = imu.specific_force_axes or imu.axes
         is_scaled = self.given.has("imu.angular_rate_unit", "imu.angular_rate_scale")
         return (
-            (imu.axes is None or one.axes == axes_text(_map_of(imu.axes)))
-            and (force_axes is None or one.force_axes == axes_text(_map_of(force_axes)))
+            (imu.axes is None or one.axes == axes_text(map_of(imu.axes)))
+            and (force_axes is None or one.force_axes == axes_text(map_of(force_axes)))
             and (not is_scaled or one.rate_scale == 1.0)
             and (not self.given.has("dvl.mounting_rpy_deg") or _turn(one.rpy_deg) == _turn(dvl.mounting_rpy_deg))
         )
@@ -198,7 +216,7 @@ class Trials:
 
     def _signed(self, rate_scale: float) -> Iterator[Hypothesis]:
         """Yield all signs of the axes of the IMU as read, or of the first that is level, with each mounting."""
-        level = list(mounted(self.dive, self.as_read))
+        level = list(mounted(self.dive, self.as_read, self.mountings))
         first = replace(level[0], rate_scale=rate_scale)
         for rpy_deg in dict.fromkeys(one.rpy_deg for one in level):
             for other in signed_rates(replace(first, rpy_deg=rpy_deg)):
@@ -232,41 +250,47 @@ class Trials:
             self.found = sorted([*self._tried(near), *self.found], key=lambda hypothesis: hypothesis.cost)
             step /= 3.0
         scale = self.found[0].rate_scale
-        again = self._tried(replace(one, rate_scale=scale) for one in mounted(self.dive, self.as_read))
+        again = self._tried(replace(one, rate_scale=scale) for one in mounted(self.dive, self.as_read, self.mountings))
         self.found = sorted([*again, *self.found], key=lambda hypothesis: hypothesis.cost)
 
 
-def mounted(dive: Dive, as_read: Hypothesis) -> Iterator[Hypothesis]:
-    """Yield the axes in which a level vehicle feels gravity, with each mounting of a DVL that looks down or up."""
+def mounted(
+    dive: Dive, as_read: Hypothesis, mountings: Sequence[tuple[float, float, float]] | None = None
+) -> Iterator[Hypothesis]:
+    """Yield the axes in which a level vehicle feels gravity, with each mounting of a DVL that looks down or up.
+
+    Mountings that are given are the only ones.
+    """
     force = np.median(dive.imu.specific_force_b, axis=0)
-    turns = [turn for turn in possible_axes(dive.dvl) if dive.dvl.look_d is not None or turn[2, 2]]
-    mountings = [rpy_of(turn) for turn in turns]
-    mountings.sort(key=lambda rpy_deg: (rpy_deg[0], abs(rpy_deg[2])))
+    if mountings is None:
+        turns = [turn for turn in possible_axes(dive.dvl) if dive.dvl.look_d is not None or turn[2, 2]]
+        mountings = sorted(map(rpy_of, turns), key=lambda rpy_deg: (rpy_deg[0], abs(rpy_deg[2])))
     ways = [(axes_text(axes), axes_text(sign * axes)) for sign in (1.0, -1.0) for axes in level_axes(sign * force)]
-    if np.linalg.det(_map_of(as_read.axes)) < 0.0:
+    if np.linalg.det(map_of(as_read.axes)) < 0.0:
         ways.append((as_read.axes, as_read.force_axes))  # left-handed axes, which a reference has shown
     # Together with the mountings, one turn about down says the same as another: as read comes first.
     ways.sort(key=lambda way: way != (as_read.axes, as_read.force_axes))
     for axes, force_axes in ways:
-        yield from (Hypothesis(axes, force_axes, 1.0, rpy_deg) for rpy_deg in mountings)
+        for rpy_deg in mountings:
+            yield Hypothesis(axes, force_axes, 1.0, rpy_deg, imu_rpy_deg=as_read.imu_rpy_deg)
 
 
 def rpy_of(turn: Floats) -> tuple[float, float, float]:
-    """Return roll, pitch and heading of a turn by right angles, deg."""
-    roll, pitch, heading = np.rint(rpy_from_mat(turn) / DEG + 0.0).tolist()
+    """Return roll, pitch and heading of a rotation, deg, to the hundredth."""
+    roll, pitch, heading = np.round(rpy_from_mat(turn) / DEG, 2).tolist()
     return roll + 0.0, pitch + 0.0, heading + 0.0
 
 
 def signed_rates(one: Hypothesis) -> Iterator[Hypothesis]:
     """Yield a hypothesis with each sign of the gyros."""
     for signs in product((1.0, -1.0), repeat=3):
-        yield replace(one, axes=axes_text(np.diag(signs) @ _map_of(one.axes)))
+        yield replace(one, axes=axes_text(np.diag(signs) @ map_of(one.axes)))
 
 
 def signed_forces(one: Hypothesis) -> Iterator[Hypothesis]:
     """Yield a hypothesis with other signs of the level accelerometers."""
     for x, y in ((-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)):
-        yield replace(one, force_axes=axes_text(np.diag([x, y, 1.0]) @ _map_of(one.force_axes)))
+        yield replace(one, force_axes=axes_text(np.diag([x, y, 1.0]) @ map_of(one.force_axes)))
 
 
 def scaled(one: Hypothesis) -> Iterator[Hypothesis]:
@@ -274,13 +298,14 @@ def scaled(one: Hypothesis) -> Iterator[Hypothesis]:
     yield from (replace(one, rate_scale=one.rate_scale * scale) for scale in SCALES)
 
 
-def _map_of(axes: str) -> Floats:
+def map_of(axes: str) -> Floats:
+    """Return the map from readings to forward-starboard-down, (3, 3)."""
     return in_frd(np.eye(3), axes, "imu.axes").T
 
 
 def _turn(rpy_deg: Sequence[float]) -> tuple[int, ...]:
-    """Return the nearest turn by right angles, row by row."""
-    return tuple(np.rint(mat_from_rpy(np.array(rpy_deg) * DEG)).astype(int).ravel().tolist())
+    """Return a rotation that can be compared, row by row, in hundredths."""
+    return tuple(np.rint(100.0 * mat_from_rpy(np.array(rpy_deg) * DEG)).astype(int).ravel().tolist())
 
 
 def _vehicle(hypothesis: Hypothesis) -> tuple[object, ...]:
@@ -294,10 +319,12 @@ def _vehicle(hypothesis: Hypothesis) -> tuple[object, ...]:
 def turned_about_down(hypothesis: Hypothesis, quarters: int) -> Hypothesis:
     """Turn IMU and DVL together, so that the cost stays: by quarters of a circle towards starboard."""
     turn = np.rint(mat_from_rpy(np.array([0.0, 0.0, 90.0 * quarters]) * DEG))
+    if any(hypothesis.imu_rpy_deg):
+        return hypothesis.with_body_turned(turn)
     return replace(
         hypothesis,
-        axes=axes_text(turn @ _map_of(hypothesis.axes)),
-        force_axes=axes_text(turn @ _map_of(hypothesis.force_axes)),
+        axes=axes_text(turn @ map_of(hypothesis.axes)),
+        force_axes=axes_text(turn @ map_of(hypothesis.force_axes)),
         rpy_deg=rpy_of(turn @ mat_from_rpy(np.array(hypothesis.rpy_deg) * DEG)),
     )
 

@@ -337,7 +337,7 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
         if fit is None or not fit.heading_sd < LEAST_SURE_DEG * DEG:
             raise LogError(
                 f"{dive.name}: the start heading cannot be determined from the reference's track",
-                f"it needs some tens of metres in two minutes, and gyros that drift little in this time; {by_hand}",
+                f"it needs some tens of metres in a minute, and gyros that drift little in this time; {by_hand}",
             )
         found = fit
         heading_deg = round((heading_deg + found.heading / DEG) % 360.0, HEADING_DIGITS)
@@ -375,7 +375,7 @@ LEAST_NIS, MOST_NIS = 0.4, 2.5  # mean NIS/dof of a baseline whose settings fit 
 MISREAD: Final = frozenset(
     {
         "imu_gravity", "imu_upside_down", "imu_gyro_sign", "imu_gyro_scale", "imu_gyro_contradiction", "imu_gyro_axis",
-        "dvl_direction", "dvl_axes", "dvl_scale", "dvl_contradiction", "track_contradiction",
+        "imu_turned", "dvl_direction", "dvl_axes", "dvl_scale", "dvl_contradiction", "track_contradiction",
     }
 )  # fmt: skip
 

@@ -219,6 +219,17 @@ def test_gyros_that_do_not_follow_the_reference_are_reported(turning: Dive) -> N
     assert "imu_gyro_contradiction" in notes_of(replace(turning, imu=replace(turning.imu, angular_rate_b=swapped)))
 
 
+def test_imu_that_is_built_in_obliquely_is_not_blamed(turning: Dive) -> None:
+    """The gyros follow the attitude in turned axes: a constant rotation, which the hint names."""
+    turn = mat_from_rpy(np.array([10.0, 30.0, 0.0]) * DEG)
+    imu = turning.imu
+    oblique = ImuColumns(imu.time_ns, imu.specific_force_b @ turn, imu.angular_rate_b @ turn)
+    notes = notes_of(replace(turning, imu=oblique))
+    assert "imu_gyro_contradiction" not in notes
+    found = re.findall(r"imu.mounting_rpy_deg = \[(.*?)\]", notes["imu_turned"].hint)[0]
+    assert list(map(float, found.split(","))) == pytest.approx([10.0, 30.0, 0.0], abs=1.0)
+
+
 def test_single_gyro_that_turns_the_other_way_is_reported(turning: Dive) -> None:
     mirrored = ImuColumns(
         turning.imu.time_ns, turning.imu.specific_force_b * [1, -1, 1], turning.imu.angular_rate_b * [1, -1, 1]

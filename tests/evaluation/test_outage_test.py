@@ -222,6 +222,12 @@ def test_alarm_names_both_filters_and_the_length_that_is_furthest_off() -> None:
     assert outage_alarm(unknown, ("baseline", "aided")) == said.replace("baseline 1.12, ", "")
 
 
+def test_alarm_beyond_any_noise_is_geometry_where_innovations_under_way_are_consistent() -> None:
+    rows = [replace(row, nis_per_dof=17.8) for row in rows_of(coasts_that_drift(baseline=0.001)).values()]
+    assert "dvl.mounting_rpy_deg" in outage_alarm(rows, ["baseline"], {"baseline": 1.1})
+    assert "[noise]" in outage_alarm(rows, ["baseline"], {"baseline": 15.0})
+
+
 def test_filters_are_paired_by_window() -> None:
     """The baseline drifts the more, the later; the candidate by a constant share of that, save in one window."""
     runs = len(coasts_that_drift(baseline=1.0).runs["baseline"])

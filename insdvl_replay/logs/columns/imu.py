@@ -5,6 +5,8 @@ samples; a jump that is gone with the next one is the instrument's.
 """
 
 import re
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -12,9 +14,10 @@ import numpy as np
 from insdvl_replay.core.config import Imu
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, TruthColumns, nanoseconds
 from insdvl_replay.core.errors import ConfigError, Note
-from insdvl_replay.core.states import LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS
+from insdvl_replay.core.states import DEG, LARGEST_FORCE_MPS2, LARGEST_RATE_RADPS
 from insdvl_replay.core.units import ANGULAR_RATE_UNITS, SPECIFIC_FORCE_UNITS
 from insdvl_replay.core.words import Severity
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.logs.columns.clean import Cleaner, is_few, note_bursts, note_gaps, note_lost_samples
 from insdvl_replay.logs.columns.tables import Mask, Table
 
@@ -71,7 +74,15 @@ def decode_imu(table: Table, settings: Imu) -> tuple[ImuColumns, list[Note]]:
     note_gaps(cleaner, steps_ns, settings.max_gap_s)
     note_bursts(cleaner, steps_ns, "noise.accel_white_mps_rts and noise.gyro_white_rad_rts")
     imu = ImuColumns(cleaner.times, cleaner.kept(specific_force_b), cleaner.kept(angular_rate_b))
-    return imu, cleaner.notes
+    return turned_to_body(imu, settings.mounting_rpy_deg), cleaner.notes
+
+
+def turned_to_body(imu: ImuColumns, rpy_deg: Sequence[float]) -> ImuColumns:
+    """Turn readings from the IMU's axes to the body's, by roll, pitch and heading, deg."""
+    if not any(rpy_deg):
+        return imu
+    turn_b = mat_from_rpy(np.array(rpy_deg) * DEG).T
+    return replace(imu, specific_force_b=imu.specific_force_b @ turn_b, angular_rate_b=imu.angular_rate_b @ turn_b)
 
 
 def measured_vectors(table: Table, quantity: str, short: str, settings: Imu) -> Floats:
