@@ -91,6 +91,11 @@ def is_finding(note: Note) -> bool:
     return note.code.startswith("found_")
 
 
+def own_findings(notes: Iterable[Note]) -> list[Note]:
+    """Return the notes that a dive has settings of its own."""
+    return [note for note in notes if note.code == "found_own"]
+
+
 def log_findings(notes: Iterable[Note], file: Path) -> bool:
     """Print what was found or assumed of a vehicle without settings, warnings first; return whether there is any."""
     findings = [note for note in notes if is_finding(note)]

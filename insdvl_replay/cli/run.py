@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Report
+    from insdvl_replay.inspection.proposal import Given
     from insdvl_replay.show.answers import Failure
 
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
@@ -128,6 +129,7 @@ def run(
         log_info,
         log_notes,
         log_to_stderr,
+        own_findings,
         write_stdout,
     )
     from insdvl_replay.cli.screen import fetch_with_progress, written
@@ -204,8 +206,9 @@ def run(
                 continue
             reports.append(report)
             unchanged += outcome.unchanged
-            if not (quiet or has_findings):
-                has_findings = log_findings(report.notes, target / VEHICLE_FILE)
+            own = own_findings(report.notes)
+            if not quiet and (own or not has_findings):
+                has_findings |= log_findings(own or report.notes, target / VEHICLE_FILE)
             if talks or (alone and not quiet):
                 warned = [note for note in report.notes if not is_finding(note)]
                 log_notes(warned, verbose=verbose > 0, dive="" if alone else name)
@@ -344,7 +347,7 @@ def outcomes_without_settings(
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
-    from insdvl_replay.cli.messages import is_finding
+    from insdvl_replay.cli.messages import is_finding, own_findings
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import Note, UserError
     from insdvl_replay.core.words import Severity
@@ -366,9 +369,14 @@ def outcomes_without_settings(
     given = Given(options.config, options.given)
     stored = [stored_settings(dive.target, given) for dive in dives]
     reports = [stored_report(dive, config) for dive, config in zip(dives, stored, strict=True)]
-    if not rerun and reports[0] is not None and all(config == stored[0] for config in stored):
-        found_before = tuple(filter(is_finding, reports[0].notes))
-        same = with_options(dives, config=stored[0], found=found_before)
+    # A dive that contradicts the others had settings of its own before, too.
+    pairs = list(zip(stored, reports, strict=True))
+    is_known = [config == stored[0] or (report and own_findings(report.notes)) for config, report in pairs]
+    if not rerun and reports[0] is not None and all(is_known):
+        same = list["ReplayJob"]()
+        for dive, (config, report) in zip(dives, pairs, strict=True):
+            found_before = tuple(filter(is_finding, (report or reports[0]).notes))
+            same += with_options([dive], config=config, found=found_before)
         yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
         return
     unknown = [dive for dive, report in zip(dives, reports, strict=True) if report is None]
@@ -401,7 +409,60 @@ def outcomes_without_settings(
             yield from outcomes_without_settings(dives[1:], jobs, force=force, rerun=rerun)
         return
     found_for = with_options(dives, config=found.config, found=found.notes, vehicle=found.text)
-    yield from outcomes_as_planned(found_for, jobs, None, force=force, rerun=rerun)
+    yield from _outcomes_by_groups(found_for, given, found.config, jobs, force=force, rerun=rerun)
+
+
+def _outcomes_by_groups(
+    dives: "Sequence[ReplayJob]", given: "Given", common: "Config", jobs: int, *, force: bool, rerun: bool
+) -> "Generator[Outcome, None, None]":
+    """Replay the dives of a vehicle; those that contradict the first one's settings get some of their own together."""
+    from insdvl_replay.cli.screen import REPLAY, compiling, progress
+    from insdvl_replay.core.errors import UserError
+    from insdvl_replay.inspection.automatic import find_settings
+
+    outcomes = outcomes_as_planned(dives, jobs, None, force=force, rerun=rerun)
+    first = next(outcomes)
+    yield first
+    contradicting = list["Outcome"]()
+    for outcome in outcomes:
+        if _contradicts(outcome, first):
+            contradicting.append(outcome)
+        else:
+            yield outcome
+    if not contradicting:
+        return
+    others = [outcome.job for outcome in contradicting]
+    try:
+        with progress("finding the settings of single dives", REPLAY, compiling()):
+            allow_damaged = dives[0].options.allow_damaged
+            found = find_settings([dive.logs for dive in others], given, allow_damaged=allow_damaged)
+    except UserError:
+        yield from contradicting
+        return
+    own = list["ReplayJob"]()
+    for dive in others:
+        of_dive = found.as_own(dive.target.name, common)
+        options = replace(dive.options, config=of_dive.config, found=of_dive.notes, vehicle=of_dive.text)
+        own.append(replace(dive, options=options))
+    # What the common settings gave is replaced.
+    yield from _outcomes_by_groups(own, given, common, jobs, force=True, rerun=rerun)
+
+
+def _contradicts(outcome: "Outcome", first: "Outcome") -> bool:
+    """Return whether the settings that fit the first dive of a vehicle do not fit another one."""
+    from insdvl_replay.core.result import Report
+    from insdvl_replay.preparation.run import MISREAD, MOST_NIS
+    from insdvl_replay.show.dive import values_of
+
+    if not isinstance(first.result, Report):
+        return False
+    if not isinstance(outcome.result, Report):
+        return _needs_settings(outcome)
+    codes, known = ({note.code for note in report.notes} & MISREAD for report in (outcome.result, first.result))
+    if codes - known:
+        return True
+    size, usual = (values_of(report, report.baseline)["nis_per_dof"] for report in (outcome.result, first.result))
+    return size > MOST_NIS >= usual
 
 
 def _needs_settings(outcome: "Outcome") -> bool:

@@ -16,6 +16,7 @@ import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
+from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.calibration.noise import INERTIAL
 from insdvl_replay.core.config import Config, Initial
@@ -26,6 +27,7 @@ from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.proposal import (
     Given,
     Setting,
@@ -39,7 +41,7 @@ from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, wit
 from insdvl_replay.inspection.trials import CONSISTENT
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.prepared import raise_if_span_is_empty, read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import FIT, LEAST_NIS, MOST_NIS, baseline_fit, fitted_start
+from insdvl_replay.preparation.run import FIT, LEAST_NIS, MISREAD, MOST_NIS, baseline_fit, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 MOST_DIVES: Final = 5  # dives from which the settings are found
@@ -56,6 +58,9 @@ CONTRADICTIONS: Final = frozenset(
 )
 SHORT_S: Final = 30.0  # shorter logs are the last by which settings are found
 _NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
+MOST_DIFFERENCES: Final = 4  # that are named
+CALIBRATED_RAD: Final = 5.0 * DEG  # turns of the DVL up to which are a calibration's
+SCALES: Final = {"specific_force_scale": "accelerometers", "angular_rate_scale": "gyros"}
 AS_GIVEN: Final = "as given: "
 Paths = Sequence[Path]
 
@@ -72,6 +77,13 @@ class FoundSettings:
         """Return the settings as a file for ``-c``, which holds what differs from the defaults."""
         comments = [line for note in self.notes for line in comment_lines(note.text)]
         return "".join(f"{line}\n" for line in comments) + f"\n{render_toml(self.config, changed_only=True)}"
+
+    def as_own(self, name: str, common: Config) -> "FoundSettings":
+        """Return the settings of a dive that contradicts the common ones of its vehicle, with a note why."""
+        differences = "; ".join(_differences(self.config, common)) or "another start and noise"
+        hint = "if the vehicle was not changed between its dives, look at the sensor that differs"
+        note = found_note("found_own", f"{name} has settings of its own: {differences}", hint, warn=True)
+        return replace(self, notes=(note, *self.notes))
 
 
 def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> FoundSettings:
@@ -92,7 +104,10 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     for paths in dives:
         if paths != first:
             with suppress(UserError):  # its own replay reports it
-                read.append(read_checked_dive(paths, config, allow_damaged=allow_damaged))
+                other = read_checked_dive(paths, config, allow_damaged=allow_damaged)
+                # What the settings of the first misread needs settings of its own, and would spoil these.
+                if _misread(other) <= _misread(dive):
+                    read.append(other)
     read = _without_short(read, notes)
     config = _with_start(read[0], config)
     preset = imu_class(read[0].imu)
@@ -235,6 +250,30 @@ def settings_file(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
         return SettingsFile(text, proposal.notes, tuple(dict.fromkeys(missing)), failure)
 
 
+def _misread(dive: Dive) -> frozenset[str]:
+    """Return the codes of notes that settings misread a dive."""
+    return MISREAD & {note.code for note in dive.notes}
+
+
+def _differences(own: Config, others: Config) -> list[str]:
+    """Name the settings of the sensors that differ: scales in words, and not what a calibration changes a little."""
+    words = []
+    for key, sensors in SCALES.items():
+        scale, before = getattr(own.imu, key), getattr(others.imu, key)
+        if scale != before:
+            words.append(f"{sensors} {scale / before:.3g} times those of the other dives")
+    for section in ("imu", "dvl", "reference"):
+        now, then = getattr(own, section), getattr(others, section)
+        for key in now.__struct_fields__:
+            is_calibrated = section == "dvl" and key in (*GROUPS.values(), "velocity_sd_mps", "beam_sd_mps")
+            if getattr(now, key) != getattr(then, key) and key not in SCALES and not is_calibrated:
+                words.append(f"{section}.{key} = {getattr(now, key)}")
+    turns = (mat_from_rpy(np.array(config.dvl.mounting_rpy_deg) * DEG) for config in (own, others))
+    if angle_between(*turns) > CALIBRATED_RAD:
+        words.append(f"dvl.mounting_rpy_deg = {list(own.dvl.mounting_rpy_deg)}")
+    return words[:MOST_DIFFERENCES]
+
+
 def _as_given(found: Config, given: Given) -> Config:
     """Return settings with those that are given."""
     for section in ("imu", "dvl", "reference", "initial", "noise"):
@@ -318,17 +357,13 @@ def _with_start(dive: Dive, config: Config) -> Config:
 def _with_heading(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> tuple[Config, Initial]:
     """Find the heading at the start: by the reference's attitude, a fit to its positions, else 0.
 
-    The start of the first dive is returned, too, with the heading and the gyro bias of a fit.
+    A start is returned, too, with the heading and the gyro bias of a fit.
     """
-    reference = dives[0].reference
     if config.initial.heading_deg is None or given.has("initial.heading_deg"):
         return config, config.initial
-    if reference is not None and reference.has_position:
-        try:
-            fitted = fitted_start(dives[0], config)
-        except UserError:
-            pass
-        else:
+    for dive in dives:
+        with suppress(UserError):  # a dive that moves too little says nothing of the others
+            fitted = fitted_start(dive, config)
             text = (
                 f"start heading {fitted.heading_deg:.1f} +- {fitted.heading_sd_deg:.2g} deg, fitted to the positions "
                 "of the reference in each dive"
