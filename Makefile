@@ -128,7 +128,7 @@ inputs: .venv/run.stamp
 reference: .venv/run.stamp
 	$(BIN)/python docs/generate/reference.py
 
-# Needs the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says.
+# The parts that need the eight dives of the AUV Snapir, in ../shared/data/snapir or where DIVES says, stay as they are without them.
 DIVES ?= ../shared/data/snapir
 reproduce: .venv/run.stamp
 	$(BIN)/python docs/generate/reproduction.py $(DIVES)
