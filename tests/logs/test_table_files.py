@@ -213,6 +213,29 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
             open_recording(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    ("above", "left_out"),
+    [
+        ("Time [s],Vx [kn]", 0),
+        ("Export of instrument 7\nRate: 100\nTime [s],Vx [kn]", 2),
+        ("Device,DVL 7\nRate,100\nTime [s],Vx [kn]", 2),
+        ("Device,\n,\nTime [s],Vx [kn]", 2),
+        ("a;b;c\nsome words, and more, of it\nTime,Vx\ns,kn", 2),
+        ("Time,Vx\n[s],[kn]", 0),
+        ("Time [s],Vx [kn]\ndouble,double", 0),
+    ],
+)
+def test_lines_above_the_names_of_the_columns_are_left_out(tmp_path: Path, above: str, left_out: int) -> None:
+    rows = "".join(f"{0.5 * i},{i + 1}.25\n" for i in range(30))
+    (tmp_path / "dvl.csv").write_text(f"{above}\n{rows}")
+    table = open_recording(tmp_path / "dvl.csv")
+    (channel,) = table.channels
+    (block,) = table.blocks({channel.id})
+    assert open_reader(channel, ["vx"]).columns(block)["vx"][:2, 0].tolist() == [1.25, 2.25]
+    assert channel.metadata == {"time": "s", "vx": "kn"}
+    assert sum(note.count for note in table.notes if note.code == "table_header") == left_out
+
+
 @pytest.mark.parametrize("member", ["xl/workbook.xml", "content.xml"])
 def test_a_spreadsheet_is_named_whatever_its_ending(tmp_path: Path, member: str) -> None:
     for name in ("imu.xlsx", "imu.csv", "imu.npz", "imu.ods"):

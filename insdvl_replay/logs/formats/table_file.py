@@ -34,6 +34,7 @@ from insdvl_replay.logs.formats.array_files import (
 )
 from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError
+from insdvl_replay.logs.formats.table_header import find_header
 from insdvl_replay.logs.formats.table_times import (
     DATE_NAME,
     DAY_NS,
@@ -239,13 +240,16 @@ class TableFile(LogFile):
             self._note(
                 "table_cut", name, "the last line does not end, so it may be cut; left out", hint="copy it again"
             )
-        sample = lines[1:200] or lines or [b""]
+        sample = lines[1:][-200:] or lines or [b""]
         usual = {mark: Counter(line.count(mark) for line in sample).most_common(1)[0][0] for mark in _SEPARATORS}
         separator = next((mark for mark, count in usual.items() if count), None)
-        head = 0
-        while head < len(lines) and not any(map(_is_number, lines[head].split(separator))):
+        cells = [len(line.split()) if separator is None else line.count(separator) + 1 for line in lines]
+        width = Counter(cells).most_common(1)[0][0] if cells else 0
+        names = find_header(lines, separator, width)
+        head = names.rows_at if names else 0
+        while not names and head < len(lines) and not any(map(_is_number, lines[head].split(separator))):
             head += 1
-        cells = [len(line.split()) if separator is None else line.count(separator) + 1 for line in lines[head:]]
+        cells = cells[head:]
         width = Counter(cells).most_common(1)[0][0] if cells else 0
         self._require_few(width)
         if width < 2:
@@ -255,12 +259,17 @@ class TableFile(LogFile):
         named = [line for line in named if not _is_row(line, separator, width)]
         header = lines[0] if head else named[-1] if named else b""
         titles = header.decode("utf-8", "replace").split(separator.decode() if separator else None)
-        if not head and len(titles) != width:
+        if names and width == len(names.titles):
+            titles = list(names.titles)
+        elif not head and len(titles) != width:
             titles = []
         if titles and len(titles) != width:
             what = f"has {counted(len(titles), 'name')} in its first line, but {counted(width, 'cell')} in its rows"
             raise LogError(what, "one separator for names and rows, and a decimal point", self.path)
-        if head > 1:
+        if names and names.names_at:
+            clause = counted_clause(names.names_at, "lines are above the names of the columns and are left out")
+            self._note("table_header", name, clause, names.names_at, warn=False)
+        elif head > 1 and not names:
             self._note(
                 "table_header", name, f"the first {head} lines have no numbers; the first names the columns", head
             )

@@ -1,0 +1,93 @@
+"""Where the rows of a table of text begin, and which line above them names the columns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from insdvl_replay.core.units import UNITS_BY_KIND, spelled, unit_of
+from insdvl_replay.logs.formats.table_times import DATE_NAME, TIME_NAME
+
+_LONGEST: Final = 100  # lines above the rows at most
+_FEW_ROWS: Final = 2  # rows without a line of names above them: more of them have none
+_UNITS: Final = frozenset(unit for units in UNITS_BY_KIND.values() for unit in units)
+
+
+@dataclass(frozen=True)
+class Header:
+    """What is above the rows of a table."""
+
+    names_at: int  # number of the line that names the columns
+    rows_at: int  # of the first row
+    titles: tuple[str, ...]  # with the units of a line of units
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number, with a decimal point or comma."""
+    try:
+        float(cell.strip().strip('"').replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def find_header(lines: Sequence[bytes], separator: bytes | None, width: int) -> Header | None:
+    """Find the line of names right above the first row with numbers; None where no line is clearly that.
+
+    Lines before it, such as the name of an instrument, need not have the cells of the table.
+    """
+    cells = [_cells(line, separator) for line in lines[:_LONGEST]]
+    above: list[int] = []  # lines of words right above
+    rows = 0
+    for number, row in enumerate(cells):
+        numbers = sum(map(is_number, row))
+        has_numbers = numbers > 0
+        is_row = 2 * numbers > sum(map(bool, row))
+        if (
+            len(row) != width
+            or (has_numbers and not is_row)
+            or (not has_numbers and sum(map(bool, row)) < max(width - 1, 2))
+        ):
+            above = []
+        elif not has_numbers:
+            above.append(number)
+        elif above:
+            return _header(cells, above, number)
+        else:
+            rows += 1
+            if rows > _FEW_ROWS:
+                return None
+    return None
+
+
+def _header(cells: Sequence[Sequence[str]], above: Sequence[int], rows_at: int) -> Header:
+    """Choose the line of names: one that names a time, else the last that is no line of units."""
+    timed = [number for number in above if any(map(_names_time, cells[number]))]
+    words = [number for number in above if not _are_units(cells[number])]
+    names_at = (timed or words[::-1] or list(above))[0]
+    titles = list(cells[names_at])
+    for number in above:
+        if number > names_at and _are_units(cells[number]):
+            pairs = zip(titles, cells[number], strict=True)
+            titles = [
+                f"{title} [{unit.strip('[]()')}]" if unit and not unit_of(title) else title for title, unit in pairs
+            ]
+    return Header(names_at, rows_at, tuple(titles))
+
+
+def _with_unit(title: str, unit: str) -> str:
+    return f"{title} [{unit.strip('[]()')}]" if unit and not unit_of(title) else title
+
+
+def _cells(line: bytes, separator: bytes | None) -> list[str]:
+    return [cell.decode("utf-8", "replace").strip().strip("\"'") for cell in line.split(separator)]
+
+
+def _names_time(title: str) -> bool:
+    name = title.partition("[")[0].partition("(")[0].strip().lower().replace(" ", "_")
+    return bool(TIME_NAME.search(name) or DATE_NAME.search(name))
+
+
+def _are_units(row: Sequence[str]) -> bool:
+    filled = [cell for cell in row if cell and cell != "-"]
+    units = [cell for cell in filled if spelled(cell.strip("[]()")) in _UNITS]
+    return 2 * len(units) > len(filled)
