@@ -3,11 +3,12 @@
 Where a reference has positions alone, they are compared with the track that gyros and DVL make together.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from insdvl_replay.checks.dvl import (
     COHERENT,
@@ -18,6 +19,7 @@ from insdvl_replay.checks.dvl import (
     median_speed_mps,
     scale_remarks,
     track_by_positions,
+    velocities_b,
 )
 from insdvl_replay.checks.imu import (
     AXES,
@@ -28,26 +30,41 @@ from insdvl_replay.checks.imu import (
     gyro_by_gravity,
     imu_remarks,
     lies_within,
+    since_s,
     turn_to_reference,
     turned_by,
 )
 from insdvl_replay.checks.sentences import Remark, ignore_hint, refusal, warning
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import (
+    NS_PER_S,
     DvlColumns,
     Floats,
     ImuColumns,
     ReferenceColumns,
+    TimeNs,
+    find_runs,
     in_pauses,
     nanoseconds,
     seconds,
 )
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.frames import AROUND, Complex, Steps, find_jumps, least_difference, steps_of, unexplained_m
+from insdvl_replay.geometry.frames import (
+    AROUND,
+    Complex,
+    Steps,
+    find_jumps,
+    horizontal,
+    least_difference,
+    steps_of,
+    unexplained_m,
+)
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, vector_from_mat, wrap_angle
 
 UNIT_WRONG: Final = 5.0  # factor of the angular rate at which it is another unit: deg/s are 57 times rad/s
+_UNDER_WAY_MPS: Final = 0.1  # beyond the noise of a DVL
+_TURNED_RAD: Final = 5.0 * DEG  # beyond the gyros' bias and Earth's rate in a minute
 _PINGS_LATE: Final = 3  # by which a velocity of the DVL is reported late by another topic
 _MOVING_MPS: Final = 0.05
 _SAME_MPS: Final = 2e-5  # single precision, and digits that are rounded
@@ -211,6 +228,68 @@ def reference_notes(imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumn
 def says_anything(reference: ReferenceColumns) -> bool:
     """Return whether it gives an attitude, a position, or a velocity that is not always zero."""
     return reference.has_attitude or reference.has_position or bool(np.nan_to_num(reference.velocity_n).any())
+
+
+def without_frozen(
+    imu: ImuColumns, dvl: DvlColumns, reference: ReferenceColumns
+) -> tuple[ReferenceColumns, tuple[Note, ...]]:
+    """Return a reference without positions and attitudes that stay the same while the vehicle moves, and notes of them.
+
+    A receiver under water goes on with its last fix. The first row of a run stays. A reference that never changes is
+    told by another note.
+    """
+    ping_ns, velocity_b = velocities_b(dvl, Config())
+    speed_mps = np.abs(horizontal(velocity_b))
+
+    def moves(start_ns: int, end_ns: int) -> bool:
+        inside = speed_mps[np.searchsorted(ping_ns, start_ns) : np.searchsorted(ping_ns, end_ns, "right")]
+        return len(inside) > 1 and float(np.median(inside)) > _UNDER_WAY_MPS
+
+    def turns(start_ns: int, end_ns: int) -> bool:
+        from_s = (start_ns - int(imu.time_ns[0])) / NS_PER_S
+        at_s = np.linspace(from_s, from_s + (end_ns - start_ns) / NS_PER_S, ENOUGH)
+        return bool(np.ptp(turned_by(imu, at_s, LONGEST_STEP_S), axis=0).max() > _TURNED_RAD)
+
+    notes = []
+    position = reference.position
+    mat_nb = reference.mat_nb
+    tests = (
+        ("position", reference.position, reference.position[:, :2], moves, "the DVL measures a velocity"),
+        ("attitude", reference.mat_nb, reference.mat_nb.reshape(-1, 9), turns, "the gyros measure a turn"),
+    )
+    for quantity, values, rows, is_moving, doing in tests:
+        frozen = _frozen_rows(reference.time_ns, rows, is_moving)
+        if not frozen.any():
+            continue
+        starts, ends = find_runs(frozen)
+        lengths_s = seconds(reference.time_ns[ends - 1], reference.time_ns[starts - 1])
+        found: dict[str, float] = {"first_s": since_s(reference.time_ns, int(starts[0]))}
+        found["longest_s"] = float(lengths_s.max())
+        notes.append(warning("reference_frozen", int(frozen.sum()), quantity=quantity, doing=doing, **found))
+        kept = values.copy()
+        kept[frozen] = np.nan
+        if quantity == "position":
+            position = kept
+        else:
+            mat_nb = kept
+    return replace(reference, position=position, mat_nb=mat_nb), tuple(notes)
+
+
+def _frozen_rows(time_ns: TimeNs, rows: Floats, is_moving: Callable[[int, int], bool]) -> NDArray[np.bool_]:
+    """Return which rows repeat the one before, shape (k,), for long while the vehicle moves."""
+    frozen = np.zeros(len(rows), np.bool_)
+    known = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    again = np.zeros(len(known), np.bool_)
+    again[1:] = (rows[known[1:]] == rows[known[:-1]]).all(axis=1)
+    if np.count_nonzero(again) >= len(known) - 1:
+        return frozen
+    starts, ends = find_runs(again)
+    from_ns = time_ns[known[starts - 1]]
+    to_ns = time_ns[known[ends - 1]]
+    for run in np.flatnonzero(seconds(to_ns, from_ns) > LONGEST_STEP_S).tolist():
+        if is_moving(int(from_ns[run]), int(to_ns[run])):
+            frozen[known[starts[run] : ends[run]]] = True
+    return frozen
 
 
 def is_of_dvl(reference: ReferenceColumns, dvl: DvlColumns) -> bool:

@@ -117,6 +117,11 @@ _SENTENCES: Final = {
         "the {quantity} of the reference is the same in all its rows, while {doing}",
         "to use another reference: reference.topic and reference.fix; to use none: reference.ignore = true",
     ),
+    "reference_frozen": (
+        "the {quantity} of the reference stays the same in {count} rows, first at {first_s:.1f} s after its first row "
+        "and for {longest_s:.1f} s at the longest, while {doing}: they count as missing",
+        "to use another reference: reference.topic and reference.fix; to use none: reference.ignore = true",
+    ),
     "reference_contradiction": (
         "the reference's positions and its velocity disagree (coherence {coherence:.2f})",
         "check reference.axes, reference.angle_unit and the fields reference.latitude, longitude and velocity_n",

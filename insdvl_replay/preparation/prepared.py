@@ -10,7 +10,7 @@ from msgspec.structs import replace as changed
 
 from insdvl_replay import logs
 from insdvl_replay.checks.imu import length_refusal
-from insdvl_replay.checks.reference import plausibility_notes
+from insdvl_replay.checks.reference import plausibility_notes, without_frozen
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
 from insdvl_replay.core.config import Config, Imu, Span
 from insdvl_replay.core.dive_columns import (
@@ -82,7 +82,11 @@ def read_checked_dive(
     place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
     if (error := length_refusal(place, dive.imu)) is not None:
         raise error
-    notes = plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
+    frozen: tuple[Note, ...] = ()
+    if dive.reference is not None:
+        reference, frozen = without_frozen(dive.imu, dive.dvl, dive.reference)
+        dive = replace(dive, reference=reference)
+    notes = frozen + plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
     notes += sensor_notes(dive.sensors, dive.reference, config)
     notes += solution_notes(dive.solutions, dive.reference, config)
     return replace(dive, name=name or dive.name, notes=(*dive.notes, *notes))

@@ -10,7 +10,7 @@ import pytest
 
 from insdvl_replay.checks.dvl import dvl_by_velocity
 from insdvl_replay.checks.imu import gyro_by_attitude, gyro_by_gravity
-from insdvl_replay.checks.reference import plausibility_notes, track_by_positions
+from insdvl_replay.checks.reference import plausibility_notes, track_by_positions, without_frozen
 from insdvl_replay.core.config import Config, Dvl, Imu, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, seconds
@@ -148,6 +148,36 @@ def test_fixes_in_a_pause_of_the_dvl_do_not_count_against_the_reference(
     assert track.coherence > 0.9999
     assert wrap_angle(np.array(track.heading - heading_at_start(turning))) == pytest.approx(0.0, abs=1.0 * DEG)
     assert not notes_of(dive)
+
+
+def test_positions_that_freeze_under_way_count_as_missing(turning: Dive) -> None:
+    reference = reference_of(turning)
+    time_s = seconds(reference.time_ns, reference.time_ns[0])
+    is_frozen = (time_s > 60.0) & (time_s < 100.0)
+    position = reference.position.copy()
+    position[is_frozen] = position[np.flatnonzero(is_frozen)[0] - 1]
+    found, (note,) = without_frozen(turning.imu, turning.dvl, replace(reference, position=position))
+    np.testing.assert_array_equal(np.isnan(found.position[:, 0]), is_frozen)
+    np.testing.assert_array_equal(found.mat_nb, reference.mat_nb)
+    assert (note.code, note.count) == ("reference_frozen", np.count_nonzero(is_frozen))
+    assert "reference.ignore" in note.hint
+    bare = replace(
+        positions_only(turning), reference=replace(reference_of(positions_only(turning)), position=found.position)
+    )
+    assert not notes_of(bare)
+
+
+def test_an_attitude_that_freezes_in_a_turn_counts_as_missing_and_one_at_rest_stays(turning: Dive) -> None:
+    reference = reference_of(turning)
+    mat_nb = reference.mat_nb.copy()
+    mat_nb[540:640] = mat_nb[540]
+    found, (note,) = without_frozen(turning.imu, turning.dvl, replace(reference, mat_nb=mat_nb))
+    assert np.flatnonzero(np.isnan(found.mat_nb[:, 0, 0])).tolist() == list(range(541, 640))
+    assert note.count == 99
+    still = simulate_dive("static", duration_s=60.0, imu_rate_hz=50.0, seed=8)
+    kept, notes = without_frozen(still.imu, still.dvl, reference_of(still))
+    assert notes == ()
+    np.testing.assert_array_equal(kept.position, reference_of(still).position)
 
 
 def test_turns_in_a_pause_of_the_imu_do_not_count_against_the_gyros(turning: Dive) -> None:
