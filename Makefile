@@ -9,7 +9,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 
-.PHONY: calibrated calibration demo test nightly net golden extras quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
+.PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
 
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
@@ -26,8 +26,17 @@ test: .venv/test.stamp
 nightly: .venv/test.stamp tests/node/node_modules
 	$(BIN)/insdvl-replay compile
 	$(PYTEST) -m nightly
+	$(MAKE) lowest
 	$(MAKE) --jobs 2 --output-sync=target judge calibration
 	$(BIN)/python tests/attacks/attack.py all --short --count 60
+
+# Short work with the lowest versions of all packages that pyproject.toml allows, in an environment of its own.
+LOWEST := build/lowest
+lowest: .venv/run.stamp
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(BIN)/python tests/lowest.py list > $(LOWEST)/versions.txt
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: --requirement $(LOWEST)/versions.txt
+	PYTHONPATH=$(CURDIR) $(LOWEST)/bin/python tests/lowest.py
 
 # What the commands say of twelve dives, stored anew; git tells what has moved.
 net: .venv/test.stamp

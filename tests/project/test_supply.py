@@ -2,11 +2,20 @@
 
 import re
 import tomllib
+from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 
 import pytest
+from lowest import lowest
+from mcap.writer import Writer
 
 ROOT = Path(__file__).parents[2]
+# What the program uses of packages beyond their documented names; `make lowest` tries the lowest versions.
+PRIVATE = {
+    "numba.core.caching": ("CompileResultCacheImpl", "FunctionCache", "UserProvidedCacheLocator"),
+    "mcap.writer": ("Writer",),
+}
 HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}\b")
 
 
@@ -64,3 +73,14 @@ def test_the_steps_of_the_example_job_are_pinned_by_commit() -> None:
     used = re.findall(r"uses: (.+)", job)
     assert used
     assert all(re.fullmatch(r"[\w./-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", one) for one in used)
+
+
+def test_private_parts_of_packages_are_there() -> None:
+    for module, names in PRIVATE.items():
+        assert not [name for name in names if not hasattr(import_module(module), name)]
+    assert callable(Writer.flush)
+    assert {"_Writer__chunk_builder", "_Writer__statistics"} <= vars(Writer(BytesIO())).keys()
+
+
+def test_each_requirement_has_a_lowest_version_that_is_tried() -> None:
+    assert all(re.fullmatch(r"[\w-]+==\d+(\.\d+)*", one) for one in lowest())
