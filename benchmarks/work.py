@@ -112,7 +112,7 @@ def references_counted() -> int:
         while not is_last(timeline, before):
             now = next_node(timeline, before)
             dt = now.time_s - before.time_s
-            state, motion = propagate(state, now.specific_force_b, now.angular_rate_b, dt, place, 9.8)
+            state, motion = propagate(state, before.readings, now.readings, dt, place, 9.8)
             propagate_cov(P, motion, noise_density, dt)
             before = now
         return state

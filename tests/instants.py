@@ -1,4 +1,4 @@
-"""All that a filter is told at the nodes of a time line, as columns."""
+"""All that a filter is told at the nodes of a time line, as columns; and readings of one value."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from insdvl_replay.core.dive_columns import Floats, TimeNs
+from insdvl_replay.nav.algebra import Vector
+from insdvl_replay.nav.increments import Readings
 from insdvl_replay.nav.timeline import Node, Timeline, first_node, is_event, is_last, next_node
 
 
 class Instants(NamedTuple):
-    """Times and readings at k nodes; shapes (k,), (k,), (k, 3) and (k, 3).
+    """Times, readings and their bends at k nodes; shapes (k,), (k,), and four times (k, 3).
 
     Of each, the ping that is valid there and the gap that the interval before it lies in, -1 for none, and whether it
     is recorded; shape (k,).
@@ -21,6 +23,8 @@ class Instants(NamedTuple):
     time_s: Floats
     specific_force_b: Floats
     angular_rate_b: Floats
+    force_bend_b: Floats
+    rate_bend_b: Floats
     ping: NDArray[np.int64]
     gap: NDArray[np.int64]
     record: NDArray[np.bool_]
@@ -34,12 +38,17 @@ def instants(timeline: Timeline) -> Instants:
     return Instants(
         np.array([node.time_ns for node in nodes]),
         np.array([node.time_s for node in nodes]),
-        np.array([node.specific_force_b for node in nodes]),
-        np.array([node.angular_rate_b for node in nodes]),
+        *np.swapaxes([node.readings for node in nodes], 0, 1),
         np.where(here, timeline.ping[event], -1),
         np.append(-1, timeline.gap[event[:-1]]),
         here & (timeline.record[event] >= 0),
     )
+
+
+def steady(force_b: Vector, rate_b: Vector) -> Readings:
+    """Give readings that stay as they are."""
+    still = (0.0, 0.0, 0.0)
+    return Readings(force_b, rate_b, still, still)
 
 
 def _nodes(timeline: Timeline) -> Iterator[Node]:

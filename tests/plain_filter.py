@@ -56,25 +56,42 @@ def run_plain_filter(inputs: Inputs) -> Prediction:
     )
     at = instants(timeline)
     for k in range(1, len(at.time_s)):
-        force_b = at.specific_force_b[k - 1 : k + 1].mean(axis=0) - prediction.accel_bias_b
-        rate_b = at.angular_rate_b[k - 1 : k + 1].mean(axis=0) - prediction.gyro_bias_b
-        prediction = propagated(prediction, force_b, rate_b, at.time_s[k] - at.time_s[k - 1], noise_density)
+        ends, dt = slice(k - 1, k + 1), at.time_s[k] - at.time_s[k - 1]
+        force_b, turn_b = summed(
+            dt,
+            at.specific_force_b[ends] - prediction.accel_bias_b,
+            at.angular_rate_b[ends] - prediction.gyro_bias_b,
+            at.force_bend_b[ends],
+            at.rate_bend_b[ends],
+        )
+        prediction = propagated(prediction, force_b, turn_b, dt, noise_density)
         if at.ping[k] >= 0:
             prediction = updated(prediction, velocity.values[at.ping[k]], velocity.cov[at.ping[k]])
     return prediction
 
 
-def propagated(prediction: Prediction, force_b: Floats, rate_b: Floats, dt: float, noise_density: Floats) -> Prediction:
+def summed(dt: float, force: Floats, rate: Floats, force_bend: Floats, rate_bend: Floats) -> tuple[Floats, Floats]:
+    """Sum readings at the ends of an interval, (2, 3): the mean force and the turn, with coning and sculling."""
+    force_b = force.mean(axis=0) - dt**2 / 12.0 * force_bend.sum(axis=0)
+    rate_b = rate.mean(axis=0) - dt**2 / 12.0 * rate_bend.sum(axis=0)
+    coning = dt**2 / 12.0 * np.cross(rate[0], rate[1])
+    sculling = dt / 12.0 * (np.cross(rate[0], force[1]) + np.cross(force[0], rate[1]))
+    centripetal = dt**2 / 12.0 * np.cross(rate_b, np.cross(rate_b, force_b))
+    return force_b + sculling - centripetal, dt * rate_b + coning
+
+
+def propagated(prediction: Prediction, force_b: Floats, turn_b: Floats, dt: float, noise_density: Floats) -> Prediction:
     (latitude, longitude, height_m), velocity = prediction.position, prediction.velocity_n
     r_n, r_e = meridian_radius_m(latitude) + height_m, transverse_radius_m(latitude) + height_m
     w_ie = EARTH_RATE * np.array([np.cos(latitude), 0.0, -np.sin(latitude)])
     w_in = w_ie + np.array([velocity[1] / r_e, -velocity[0] / r_n, -velocity[1] * np.tan(latitude) / r_e])
 
-    frame_turn, body_turn = Rotation.from_rotvec(-w_in * dt), Rotation.from_rotvec(rate_b * dt)
+    frame_turn, body_turn = Rotation.from_rotvec(-w_in * dt), Rotation.from_rotvec(turn_b)
     mat_nb = frame_turn.as_matrix() @ prediction.mat_nb @ body_turn.as_matrix()
     force_n = 0.5 * (prediction.mat_nb + mat_nb) @ force_b
     gravity_n = np.array([0.0, 0.0, normal_gravity(latitude, height_m)])
-    velocity_n = velocity + dt * (force_n + gravity_n - np.cross(w_ie + w_in, velocity))
+    felt_n = force_n + gravity_n
+    velocity_n = velocity + dt * (felt_n - np.cross(w_ie + w_in, velocity + 0.5 * dt * felt_n))
     north, east, down = 0.5 * dt * (velocity + velocity_n)
     position = np.array([latitude + north / r_n, longitude + east / (r_e * np.cos(latitude)), height_m - down])
 

@@ -56,7 +56,7 @@ from insdvl_replay.nav.kalman import (
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import BEAM, DEPTH, InsNow, Measurement, Memory, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import NavState, propagate
-from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, next_node
 from insdvl_replay.nav.user_measurement import NoiseFactors, Predicts
 
 BEAMS_TO_AXES: Final = 4.0
@@ -288,11 +288,9 @@ def _run(  # noqa: C901
         before, now = now, next_node(timeline, now)
         dt = now.time_s - before.time_s
         earth = local_earth_near(state.position, earth)
-        force_b = mean(before.specific_force_b, now.specific_force_b)
-        rate_b = mean(before.angular_rate_b, now.angular_rate_b)
         gravity = followed(gravity, state.position[2], before.time_s)
         gravity_here = gravity_at(earth, gravity.height_m)
-        state, motion = propagate(state, force_b, rate_b, dt, earth, gravity_here)
+        state, motion = propagate(state, before.readings, now.readings, dt, earth, gravity_here)
         if heading_bias_rate_hz is not None:
             if layout.position >= 0:
                 growth = position_growth(state, motion, earth, dt)
@@ -316,7 +314,7 @@ def _run(  # noqa: C901
         # Remember the motion at a ping: windows need the rates, and what the mechanisation alone has added.
         ping, predicted, predicted_b = timeline.rows[PINGS, now.event], state.position, _velocity_b(state)
         if ping >= 0:
-            rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
+            rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
             rate_nb_b = subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_in_n))
             rate_eb_b = subtract(rate_ib_b, rotate_back(motion.mat_nb, motion.rate_ie_n))
             write_row_vector(rate_nb_b, memory.rate_nb_b, ping)
@@ -335,12 +333,12 @@ def _run(  # noqa: C901
                 H, HP, KT, rest = matrices.H[:size], matrices.HP[:size], matrices.KT[:size], matrices.rest[:size]
                 R, S, L = matrices.R[:size, :size], matrices.S[:size, :size], matrices.L[:size, :size]
                 z, standardised = matrices.z[:size], matrices.standardised[:size]
-                rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
+                rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
                 ins = InsNow(
                     state.position,
                     state.velocity_n,
                     state.mat_nb,
-                    subtract(now.specific_force_b, state.accel_bias_b),
+                    subtract(now.readings.specific_force_b, state.accel_bias_b),
                     memory,
                     gravity_here,
                     lever_arm_b,

@@ -11,7 +11,7 @@ deg at 2 m/s, and the gyros' white noise are left out.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from insdvl_replay.core.states import BA, BG, DV, PHI
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, skew
 from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.nav.increments import UNEVEN, Readings, increments, readings_between
 
 LEVELLING_S: Final = 10.0
 """Longest time for the level: pings of 1 Hz and 2 cm/s determine it to 0.013 deg, far below any bias."""
@@ -28,6 +29,7 @@ FEWEST_SAMPLES: Final = 10
 """With fewer samples the level is not found."""
 LONGEST_PAUSE_S: Final = 0.5
 """Longest pause of the IMU to integrate across."""
+NOTHING: Final = (0.0, 0.0, 0.0)
 UNSEEN_MPS2: Final = 0.5
 """Standard deviation of a vehicle's mean acceleration without a DVL: a turn at 2 m/s and 15 deg/s."""
 
@@ -98,18 +100,17 @@ def find_level(
     ping_ns = velocities.time_ns[inside]
     time_ns = distinct(np.concatenate([[start_ns], samples.time_ns, ping_ns]))
     time_s, sample_s = seconds(time_ns, start_ns), seconds(samples.time_ns, start_ns)
-    force_b, rate_ib_b = (
-        np.column_stack([np.interp(time_s, sample_s, column) for column in readings.T])
-        for readings in (samples.specific_force_b, samples.angular_rate_b)
-    )
+    at = _readings_at(samples, sample_s, time_s)
+    force_b, rate_ib_b = np.column_stack(at.specific_force_b), np.column_stack(at.angular_rate_b)
     # The Earth's rotation in b; a level that is wrong by 3 deg moves the result by 0.001 deg.
     x, y, z = force_b.mean(axis=0)
     mat_nb = mat_from_rpy(np.array([np.arctan2(-y, -z), np.arctan2(x, np.hypot(y, z)), heading]))
     rate_ie_b: Floats = earth_rate_n(latitude) @ mat_nb
     # The rotation from b at each time to b at the first. Products of neighbours are doubled in reach until each
     # contains all before it. In inertial space, the Earth turns about an axis that is fixed in b at the start.
-    step = 0.5 * (rate_ib_b[1:] + rate_ib_b[:-1]) * np.diff(time_s)[:, None]
-    turned = np.concatenate([np.eye(3)[None], mat_from_vector(step)])
+    step_s: Any = np.diff(time_s)
+    summed = increments(_rows(at, slice(None, -1)), _rows(at, slice(1, None)), NOTHING, NOTHING, step_s)
+    turned = np.concatenate([np.eye(3)[None], mat_from_vector(np.column_stack(summed.turn_b))])
     reach = 1
     while reach < len(turned):
         turned[reach:] = turned[:-reach] @ turned[reach:]
@@ -117,7 +118,9 @@ def find_level(
     mat = mat_from_vector(-time_s[:, None] * rate_ie_b) @ turned
     rate_eb_b = rate_ib_b - np.einsum("kji,j->ki", mat, rate_ie_b)
     turned_force_b = np.einsum("kij,kj->ki", mat, force_b)
-    force_sum, mat_sum = _integral(turned_force_b, time_s), _integral(mat, time_s)
+    mean_force_b = np.einsum("kij,kj->ki", 0.5 * (mat[1:] + mat[:-1]), np.column_stack(summed.mean_force_b))
+    force_sum = np.concatenate([np.zeros((1, 3)), np.cumsum(step_s[:, None] * mean_force_b, axis=0)])
+    mat_sum = _integral(mat, time_s)
     # A gyro's bias turns what is carried to the start by mat_sum times it.
     swung = _integral(skew(turned_force_b) @ mat_sum, time_s)
 
@@ -166,6 +169,34 @@ def find_level(
     per_gyro_bias = mat[rows] @ skew(lever_arm_b) - skew(velocity) @ mat_sum[rows]
     aided = level(rows, weights, velocity, per_gyro_bias, larger * slope_cov, velocity_b, len(rows))
     return min(aided, unaided, key=lambda found: float(np.trace(found.noise_cov_b)))
+
+
+def _readings_at(samples: ImuColumns, sample_s: Floats, time_s: Floats) -> Any:
+    """Return `increments.Readings` at times, each component an array of shape (k,), on the cubic of the filter."""
+    row = np.clip(np.searchsorted(sample_s, time_s, side="right") - 1, 0, max(len(sample_s) - 2, 0))
+    after = np.minimum(row + 1, len(sample_s) - 1)
+    into_s: Any = np.clip(time_s, sample_s[0], sample_s[-1]) - sample_s[row]
+    step_s: Any = np.maximum(sample_s[after] - sample_s[row], np.finfo(float).tiny)
+    columns = (samples.specific_force_b, samples.angular_rate_b)
+    whole = Readings(*(tuple(column.T) for column in (*columns, *(_bends(column, sample_s) for column in columns))))
+    return readings_between(_rows(whole, row), _rows(whole, after), into_s, step_s)
+
+
+def _bends(readings: Floats, sample_s: Floats) -> Floats:
+    """Return the bends at samples, shape (k, 3), as `timeline` finds them one by one."""
+    bends, step_s = np.zeros_like(readings), np.diff(sample_s)[:, None]
+    if len(readings) < 3:
+        return bends
+    before_s, after_s = step_s[:-1], step_s[1:]
+    even = (before_s <= UNEVEN * after_s) & (after_s <= UNEVEN * before_s)
+    slope = np.diff(readings, axis=0) / step_s
+    bends[1:-1] = np.where(even, np.diff(slope, axis=0) / (before_s + after_s), 0.0)
+    bends[[0, -1]] = bends[[1, -2]]
+    return bends
+
+
+def _rows(readings: Any, rows: slice | NDArray[np.int64]) -> Any:
+    return Readings(*(tuple(column[rows] for column in vector) for vector in readings))
 
 
 def _integral(values: Floats, time_s: Floats) -> Floats:

@@ -41,7 +41,7 @@ from insdvl_replay.nav.error_model import TWELVE, TWELVE_ALONE, add_noise, over,
 from insdvl_replay.nav.kalman import multiply
 from insdvl_replay.nav.measurements import InsNow, Measurement, Memory, Stack, linearise, stacked
 from insdvl_replay.nav.strapdown import Motion, NavState, propagate
-from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, mean, next_node
+from insdvl_replay.nav.timeline import PINGS, Timeline, first_node, is_event, is_last, next_node
 
 TOLERANCE: Final = 3e-6
 """Rounding leaves about 1e-8 of the largest singular value; the weakest effect, of the Earth's rate, is about 1e-5."""
@@ -126,9 +126,8 @@ def _walk_motion(
         dt = now.time_s - before.time_s
         before_n = state.velocity_n
         earth = local_earth_near(state.position, earth)
-        force_b = mean(before.specific_force_b, now.specific_force_b)
-        rate_b = mean(before.angular_rate_b, now.angular_rate_b)
-        state, motion = propagate(state, force_b, rate_b, dt, earth, gravity_at(earth, state.position[2]))
+        gravity = gravity_at(earth, state.position[2])
+        state, motion = propagate(state, before.readings, now.readings, dt, earth, gravity)
         errors_motion = motion
         if not earth_rate:
             # The same way on an Earth that is flat and at rest takes another specific force.
@@ -149,7 +148,7 @@ def _walk_motion(
         if ping >= 0:
             write_row_vector(state.velocity_n, found.velocity_n, ping)
             write_row_matrix(state.mat_nb, found.mat_nb, ping)
-            rate_ib_b = subtract(now.angular_rate_b, state.gyro_bias_b)
+            rate_ib_b = subtract(now.readings.angular_rate_b, state.gyro_bias_b)
             rate_in_b = rotate_back(motion.mat_nb, motion.rate_in_n)
             write_row_vector(subtract(rate_ib_b, rate_in_b), found.rate_nb_b, ping)
             found.gravity[ping] = normal_gravity(state.position[0], state.position[2])

@@ -16,7 +16,7 @@ from insdvl_replay.nav.error_model import TWELVE
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.measurements import Measurement
-from insdvl_replay.nav.timeline import PINGS, Timeline
+from insdvl_replay.nav.timeline import PINGS, Timeline, samples_around
 from insdvl_replay.nav.user_measurement import NoiseFactors
 
 
@@ -118,10 +118,7 @@ def between_pings(timeline: Timeline, start_ns: int, end_ns: int) -> Timeline:
     It has the same nodes, but records only pings and the two ends.
     """
     events = slice(*np.searchsorted(timeline.event_ns, [start_ns, end_ns + 1]))
-    samples = slice(
-        np.searchsorted(timeline.sample_ns, start_ns, side="right") - 1,
-        np.searchsorted(timeline.sample_ns, end_ns) + 1,
-    )
+    samples = samples_around(timeline.sample_ns, start_ns, end_ns)
     is_ping = timeline.rows[PINGS, events] >= 0
     rows = np.where(timeline.event_ns[events] > start_ns, timeline.rows[:, events], -1)
     first = np.min(rows, axis=1, where=rows >= 0, initial=np.iinfo(np.int64).max, keepdims=True)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.nav.algebra import Matrix, Vector, add, compose, cross, rotate, rotation_from_vector, scale, subtract
 from insdvl_replay.nav.earth_model import LocalEarth, curvatures, transport_curvature, transport_rate_n
+from insdvl_replay.nav.increments import Readings, increments
 
 
 class NavState(NamedTuple):
@@ -32,23 +33,24 @@ class Motion(NamedTuple):
 
 @inlined
 def propagate(
-    state: NavState, specific_force_b: Vector, angular_rate_b: Vector, dt: float, earth: LocalEarth, gravity: float
+    state: NavState, before: Readings, after: Readings, dt: float, earth: LocalEarth, gravity: float
 ) -> tuple[NavState, Motion]:
-    """Advance position, velocity and attitude over an interval of ``dt`` seconds by raw readings.
+    """Advance position, velocity and attitude over an interval of ``dt`` seconds by raw readings at its ends.
 
-    The biases are taken off here. The mean of the attitudes at both ends turns the specific force to n. The position
-    moves with the mean of the velocities.
+    The mean of the attitudes at both ends turns the specific force to n. The position moves with the mean of the
+    velocities.
     """
     height_m, velocity_n = state.position[2], state.velocity_n
-    force_b, rate_b = subtract(specific_force_b, state.accel_bias_b), subtract(angular_rate_b, state.gyro_bias_b)
+    force_b, turn_b = increments(before, after, state.accel_bias_b, state.gyro_bias_b, dt)
     curvature = transport_curvature(earth, height_m)
     rate_in_n = add(earth.rate_ie_n, transport_rate_n(curvature, velocity_n))
     # The attitude turns on both sides, each by its exact exponential.
-    body_turn, frame_turn = rotation_from_vector(scale(dt, rate_b)), rotation_from_vector(scale(-dt, rate_in_n))
+    body_turn, frame_turn = rotation_from_vector(turn_b), rotation_from_vector(scale(-dt, rate_in_n))
     mat_nb = compose(frame_turn, compose(state.mat_nb, body_turn))
     force_n = scale(0.5, add(rotate(state.mat_nb, force_b), rotate(mat_nb, force_b)))
-    coriolis_n = cross(add(earth.rate_ie_n, rate_in_n), velocity_n)
-    acceleration_n = add(subtract(force_n, coriolis_n), (0.0, 0.0, gravity))
+    felt_n = add(force_n, (0.0, 0.0, gravity))
+    coriolis_n = cross(add(earth.rate_ie_n, rate_in_n), add(velocity_n, scale(0.5 * dt, felt_n)))
+    acceleration_n = subtract(felt_n, coriolis_n)
     velocity_after_n = add(velocity_n, scale(dt, acceleration_n))
     moved_n = scale(0.5 * dt, add(velocity_n, velocity_after_n))
     to_north, to_east = curvatures(earth, height_m)
@@ -57,5 +59,5 @@ def propagate(
         state.position[1] + moved_n[1] * to_east / earth.cos_latitude,
         state.position[2] - moved_n[2],
     )
-    after = NavState(position, velocity_after_n, mat_nb, state.accel_bias_b, state.gyro_bias_b)
-    return after, Motion(earth.rate_ie_n, rate_in_n, force_n, mat_nb, curvature)
+    state_after = NavState(position, velocity_after_n, mat_nb, state.accel_bias_b, state.gyro_bias_b)
+    return state_after, Motion(earth.rate_ie_n, rate_in_n, force_n, mat_nb, curvature)

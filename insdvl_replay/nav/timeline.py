@@ -16,7 +16,8 @@ from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs, distinct
 from insdvl_replay.core.runtime import inlined
 from insdvl_replay.core.states import STATES
 from insdvl_replay.geometry.rotation import skew
-from insdvl_replay.nav.algebra import Vector, add, row_vector, scale, subtract
+from insdvl_replay.nav.algebra import Vector, row_vector, scale, subtract
+from insdvl_replay.nav.increments import Readings, bend_weights, readings_between
 
 PINGS, BEAMS, FIRST_OTHER = range(3)
 """Rows of a time line: of the DVL's pings with a velocity, of those with any beam; other sensors follow."""
@@ -87,7 +88,7 @@ NO_GAPS: Final = Gaps(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0,
 class Timeline(NamedTuple):
     """Samples and events, whose times are the nodes between which the filter propagates."""
 
-    sample_ns: TimeNs  # (s,); the first is at or before the start, the last at or after the end
+    sample_ns: TimeNs  # (s,); those that cover the span, and one more on either side where the IMU has one
     specific_force_b: Floats  # (s, 3), m/s^2
     angular_rate_b: Floats  # (s, 3), rad/s
     event_ns: TimeNs  # (e,), strictly increasing, from start to end; one node with a sample of the same time
@@ -109,8 +110,7 @@ class Node(NamedTuple):
     time_s: float  # seconds from the start
     sample: int  # row of the last sample that is not later
     event: int  # row of the last event that is not later
-    specific_force_b: Vector  # m/s^2, of a sample or interpolated between two
-    angular_rate_b: Vector  # rad/s
+    readings: Readings  # of a sample or between two
 
 
 NEVER: Final = np.empty(0, np.int64)
@@ -166,7 +166,7 @@ def build_timeline(
     ends_ns = np.array([start_ns, end_ns], dtype=np.int64)
     recorded_ns = distinct(np.concatenate([ends_ns, sensors_ns[PINGS], inside(reference_ns)]))
     event_ns = distinct(np.concatenate([recorded_ns, *sensors_ns, inside(gaps.node_ns())]))
-    covering = slice(np.searchsorted(imu.time_ns, start_ns, side="right") - 1, np.searchsorted(imu.time_ns, end_ns) + 1)
+    covering = samples_around(imu.time_ns, start_ns, end_ns)
     # The loop is compiled for contiguous, writable columns; others are copied.
     return Timeline(
         np.require(imu.time_ns[covering], requirements=["C", "W"]),
@@ -180,10 +180,20 @@ def build_timeline(
     )
 
 
+def samples_around(sample_ns: TimeNs, start_ns: int, end_ns: int) -> slice:
+    """Return the rows of the samples that cover a span, and of one more on either side, by which they bend."""
+    first = int(np.searchsorted(sample_ns, start_ns, side="right")) - 2
+    last = int(np.searchsorted(sample_ns, end_ns)) + 1
+    return slice(max(first, 0), min(last, len(sample_ns) - 1) + 1)
+
+
 @inlined
 def first_node(timeline: Timeline) -> Node:
     """Return the node at the start."""
-    return _node(timeline, timeline.event_ns[0], 0, 0)
+    sample = 0
+    while sample + 1 < len(timeline.sample_ns) and timeline.sample_ns[sample + 1] <= timeline.event_ns[0]:
+        sample += 1
+    return _node(timeline, timeline.event_ns[0], sample, 0)
 
 
 @inlined
@@ -211,31 +221,39 @@ def is_event(timeline: Timeline, node: Node) -> bool:
 def _node(timeline: Timeline, time_ns: int, sample: int, event: int) -> Node:
     start_ns = timeline.event_ns[0]
     time_s, before_s = (time_ns - start_ns) * 1e-9, (timeline.sample_ns[sample] - start_ns) * 1e-9
-    force_b, rate_b = row_vector(timeline.specific_force_b, sample), row_vector(timeline.angular_rate_b, sample)
+    before = _readings_at(timeline, sample)
     if time_s == before_s:
-        return Node(time_ns, time_s, sample, event, force_b, rate_b)
+        return Node(time_ns, time_s, sample, event, before)
     into_s, step_s = time_s - before_s, (timeline.sample_ns[sample + 1] - start_ns) * 1e-9 - before_s
     return Node(
-        time_ns,
-        time_s,
-        sample,
-        event,
-        _interpolated(force_b, row_vector(timeline.specific_force_b, sample + 1), into_s, step_s),
-        _interpolated(rate_b, row_vector(timeline.angular_rate_b, sample + 1), into_s, step_s),
+        time_ns, time_s, sample, event, readings_between(before, _readings_at(timeline, sample + 1), into_s, step_s)
     )
 
 
 @inlined
-def _interpolated(before: Vector, after: Vector, into_s: float, step_s: float) -> Vector:
-    step = subtract(after, before)
-    return (
-        step[0] / step_s * into_s + before[0],
-        step[1] / step_s * into_s + before[1],
-        step[2] / step_s * into_s + before[2],
+def _readings_at(timeline: Timeline, sample: int) -> Readings:
+    """Read a sample, and how readings bend there; at the first and the last sample as at the ones next to them."""
+    force_b, rate_b = row_vector(timeline.specific_force_b, sample), row_vector(timeline.angular_rate_b, sample)
+    samples = len(timeline.sample_ns)
+    if samples < 3:
+        return Readings(force_b, rate_b, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    middle = min(max(sample, 1), samples - 2)
+    before_ns = timeline.sample_ns[middle] - timeline.sample_ns[middle - 1]
+    after_ns = timeline.sample_ns[middle + 1] - timeline.sample_ns[middle]
+    weights = bend_weights(before_ns * 1e-9, after_ns * 1e-9)
+    return Readings(
+        force_b,
+        rate_b,
+        _bend(timeline.specific_force_b, middle, weights),
+        _bend(timeline.angular_rate_b, middle, weights),
     )
 
 
 @inlined
-def mean(one: Vector, other: Vector) -> Vector:
-    """Return the mean reading of an interval, of those at its ends."""
-    return scale(0.5, add(one, other))
+def _bend(readings: Floats, middle: int, weights: tuple[float, float]) -> Vector:
+    here = row_vector(readings, middle)
+    from_before, to_after = (
+        subtract(here, row_vector(readings, middle - 1)),
+        subtract(row_vector(readings, middle + 1), here),
+    )
+    return subtract(scale(weights[1], to_after), scale(weights[0], from_before))

@@ -6,6 +6,7 @@ The first bytes of a file determine its format, not its name.
 import io
 import zipfile
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
@@ -127,10 +128,16 @@ def _read_csv(data: bytes) -> Solution:
     """Read a solution as CSV; columns may be missing."""
     import pandas as pd  # heavy
 
+    numbers = dict.fromkeys(_COLUMNS[1:], "f8")
     try:
-        table = pd.read_csv(io.BytesIO(data), dtype=dict.fromkeys(_COLUMNS[1:], "f8"))
+        table = pd.read_csv(io.BytesIO(data), dtype=numbers)
     except (ValueError, OverflowError) as error:  # pandas' own errors are ValueErrors
         why = visible(str(error))[:LONGEST_LINE]
+        whole_lines, _, rest = data.rpartition(b"\n")
+        if rest:  # a number may end within its exponent
+            with suppress(ValueError, OverflowError):
+                lines = 1 + len(pd.read_csv(io.BytesIO(whole_lines), dtype=numbers))
+                raise CandidateError(f"wrote a solution that is cut off in line {lines + 1}") from error
         raise CandidateError(f"wrote a solution that is not CSV of numbers: {why}") from error
     if not isinstance(table.index, pd.RangeIndex):
         raise CandidateError("wrote a solution whose rows are longer than its header: are there decimal commas?")

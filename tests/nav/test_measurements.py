@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from instants import steady
 from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
@@ -113,10 +114,10 @@ class Ins:
         too_much = vector(-self.dx[6:9]), vector(-self.dx[9:12])
         state = NavState(POSITION, vector(VELOCITY_N + self.dx[:3]), mat_nb, *too_much)
         place = local_earth_at(state.position[0], state.position[2])
-        found = [rotate_back(state.mat_nb, state.velocity_n)]
+        found, readings = [rotate_back(state.mat_nb, state.velocity_n)], steady(vector(FORCE_B), vector(RATE_NB_B))
         for length_s in np.diff(times_s):
             for _ in range(round(length_s * rate_hz)):
-                state, _ = propagate(state, vector(FORCE_B), vector(RATE_NB_B), 1 / rate_hz, place, GRAVITY)
+                state, _ = propagate(state, readings, readings, 1 / rate_hz, place, GRAVITY)
             found.append(rotate_back(state.mat_nb, state.velocity_n))
         return np.array(found)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from instants import steady
 from jacobian import assert_jacobian
 from scipy.spatial.transform import Rotation
 
@@ -26,7 +27,8 @@ def moved_on(dp_n: Floats) -> tuple[NavState, Motion]:
     position = without_error(POSITION, vector(-dp_n), here)
     place = local_earth_at(position[0], position[2])
     state = NavState(position, vector(VELOCITY_N), matrix(MAT_NB), STILL, STILL)
-    return propagate(state, FORCE_B, RATE_B, STEP_S, place, gravity_at(place, position[2]))
+    readings = steady(FORCE_B, RATE_B)
+    return propagate(state, readings, readings, STEP_S, place, gravity_at(place, position[2]))
 
 
 def error_after(dp_n: Floats) -> Floats:

@@ -1,11 +1,10 @@
-"""Nodes stand at the times of validity, to the nanosecond, and readings between samples on the line through them."""
+"""Nodes stand at the times of validity, to the nanosecond, and readings between samples on a cubic through them."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from instants import instants
-from scipy.interpolate import make_interp_spline
 
 from insdvl_replay.core.dive_columns import Floats, ImuColumns, TimeNs
 from insdvl_replay.nav.timeline import Timeline, build_timeline
@@ -35,7 +34,10 @@ def whole(imu: ImuColumns, ping_ns: TimeNs, reference_ns: TimeNs = NONE) -> Time
 
 def integral(timeline: Timeline) -> Floats:
     at = instants(timeline)
-    return np.array(np.trapezoid(at.specific_force_b, at.time_s, axis=0))
+    dt = np.diff(at.time_s)[:, None]
+    means = 0.5 * (at.specific_force_b[1:] + at.specific_force_b[:-1])
+    bends = dt**2 / 12.0 * (at.force_bend_b[1:] + at.force_bend_b[:-1])
+    return np.asarray(np.sum(dt * (means - bends), axis=0))
 
 
 @pytest.mark.parametrize(
@@ -95,21 +97,53 @@ def test_span_may_begin_and_end_between_samples() -> None:
     assert at.ping[-1] == 0
 
 
-def test_readings_are_on_the_line_between_samples() -> None:
+PING_OFFSETS_NS = (1, 5 * MS, 10 * MS, 37 * MS, 100 * MS - 1)
+
+
+def test_readings_between_samples_are_on_a_cubic() -> None:
+    """Whatever is a parabola in time is met, at uneven steps and at the ends, too; a line has no bend."""
+    time_ns = EPOCH_NS + np.cumsum([0, 10, 12, 8, 10, 15, 9, 10, 11, 10, 5]) * MS
+    time_s = (time_ns - EPOCH_NS) * 1e-9
+    force_b = np.column_stack([time_s**2, 1.0 - time_s, 3.0 * time_s**2 + time_s])
+    imu = ImuColumns(time_ns, force_b, np.column_stack([-2.0 * time_s**2, time_s, np.ones_like(time_s)]))
+    at = instants(whole(imu, ns(*PING_OFFSETS_NS)))
+    np.testing.assert_allclose(at.specific_force_b[:, 2], 3.0 * at.time_s**2 + at.time_s, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(at.force_bend_b, np.tile([1.0, 0.0, 3.0], (len(at.time_s), 1)), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(at.rate_bend_b[:, 0], -2.0, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(integral(whole(imu, NONE))[0], 0.1**3 / 3.0, rtol=1e-9)
+
+
+def test_readings_at_samples_are_the_samples() -> None:
     imu = imu_100_hz()
-    ping_ns = ns(1, 5 * MS, 10 * MS, 37 * MS, 100 * MS - 1)
-    at = instants(whole(imu, ping_ns))
-    at_s, sample_s = (ping_ns - EPOCH_NS) * 1e-9, (imu.time_ns - EPOCH_NS) * 1e-9
-    for made, readings in ((at.specific_force_b, imu.specific_force_b), (at.angular_rate_b, imu.angular_rate_b)):
-        np.testing.assert_allclose(made[at.ping >= 0], make_interp_spline(sample_s, readings, k=1)(at_s), atol=1e-12)
-        np.testing.assert_array_equal(made[np.isin(at.time_ns, imu.time_ns)], readings)
+    at = instants(whole(imu, ns(*PING_OFFSETS_NS)))
+    np.testing.assert_array_equal(at.specific_force_b[np.isin(at.time_ns, imu.time_ns)], imu.specific_force_b)
+    np.testing.assert_array_equal(at.angular_rate_b[np.isin(at.time_ns, imu.time_ns)], imu.angular_rate_b)
 
 
-def test_readings_are_those_of_numpy_to_the_last_bit() -> None:
-    imu = imu_at(EPOCH_NS + 10 * MS * np.arange(500) + np.random.default_rng(2).integers(0, 5 * MS, 500))
-    at = instants(whole(imu, imu.time_ns[0] + 37 * MS * np.arange(1, 100) + 12_345))
-    sample_s = (imu.time_ns - imu.time_ns[0]) * 1e-9
-    np.testing.assert_array_equal(at.angular_rate_b[:, 1], np.interp(at.time_s, sample_s, imu.angular_rate_b[:, 1]))
+def test_readings_are_straight_beside_lost_samples() -> None:
+    """One step is then many times as long as the next, and a bend would be noise."""
+    imu = imu_at(EPOCH_NS + np.array([0, 10, 20, 30, 80, 90, 100, 110]) * MS)
+    at = instants(whole(imu, ns(55 * MS)))
+    assert (at.force_bend_b[[1, 2]] != 0.0).all()
+    assert not at.force_bend_b[[3, 4, 5]].any()
+    np.testing.assert_allclose(at.angular_rate_b[4], imu.angular_rate_b[3:5].mean(axis=0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [2, 3])
+def test_two_or_three_samples_are_a_time_line(samples: int) -> None:
+    at = instants(whole(imu_100_hz(samples), ns(4 * MS)))
+    assert np.isfinite(at.specific_force_b).all()
+    assert at.force_bend_b.any() == (samples == 3)
+
+
+def test_a_part_of_a_dive_bends_as_the_whole() -> None:
+    """A time line holds a sample more on either side."""
+    imu = imu_100_hz()
+    at = instants(whole(imu, ns(*PING_OFFSETS_NS)))
+    part = instants(build_timeline(imu, ns(37 * MS), NONE, *ns(20 * MS, 40 * MS).tolist()))
+    rows = np.searchsorted(at.time_ns, part.time_ns)
+    assert part.time_ns.tolist() == ns(20 * MS, 30 * MS, 37 * MS, 40 * MS).tolist()
+    np.testing.assert_allclose(part.force_bend_b, at.force_bend_b[rows], rtol=1e-9)
 
 
 def test_a_time_line_does_not_copy_the_readings_unless_the_loop_cannot_take_them() -> None:
