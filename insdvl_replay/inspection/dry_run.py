@@ -225,6 +225,7 @@ _FAMILIES: Final = (
 _SECONDS: Final = {"sec", "secs", "seconds"}
 _NANOSECONDS: Final = {"nsec", "nsecs", "nanosec", "nanos", "nanoseconds"}
 _BLOCKS: Final = 2
+_FAR_AWAY: Final = 5.0  # ratio to the largest other reading above which equal ones stand for none
 _MESSAGES: Final = 1000
 _LARGEST_BYTES: Final = 1_000_000
 # Fields that are gone over in one topic: to look at one costs as much as the type has, which may be thousands.
@@ -256,6 +257,15 @@ def _numbers(known: Kinds) -> tuple[list[str], dict[str, list[str]]]:
         if parent and "[*]" not in parent:
             children.setdefault(parent, []).append(child)
     return numbers, children
+
+
+def without_marks(values: Floats) -> Floats:
+    """Leave out the rows of values, (k, n), with a number that stands for none: the largest, repeated and far away."""
+    sizes = np.abs(values).max(axis=1, initial=0.0)
+    is_mark = sizes == sizes.max(initial=0.0)
+    others = sizes[~is_mark]
+    is_far = others.size > 0 and sizes.max() > _FAR_AWAY * others.max()
+    return values[~is_mark] if is_far and np.count_nonzero(is_mark) > 1 else values
 
 
 def vector_paths(known: Kinds) -> list[str]:
@@ -402,7 +412,7 @@ def _probe(log: Recording, channel: LogChannel) -> tuple[ProbedTopic, int]:
         values = [np.concatenate([columns[part].astype(np.float64) for part in parts], axis=1) for columns in read]
         width = min((columns.shape[1] for columns in values), default=0)
         every = np.concatenate([columns[:, :width] for columns in values]) if values else np.empty((0, 0))
-        finite = every[np.isfinite(every).all(axis=1)]
+        finite = without_marks(every[np.isfinite(every).all(axis=1)])
         if len(finite) and width in _WIDTHS:
             sizes = np.linalg.norm(finite, axis=1)
             candidates.append(FieldMatch(path, np.median(finite, axis=0), float(np.median(sizes)), float(sizes.max())))

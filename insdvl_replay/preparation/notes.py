@@ -23,6 +23,11 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
         "pings before the first or after the last sample of the IMU: {count} of {total}",
         "compare dvl.stamp with imu.stamp, and look whether the log of the IMU is whole",
     ),
+    "dvl_covers_little": (
+        WARNING,
+        "the velocities of the DVL ({count}) are within {length:.1f} s, and the samples of the IMU are in {dive:.1f} s",
+        "look whether the log of the DVL is whole, or choose its part of the dive with --start and --end",
+    ),
     "dvl_outside_span": (INFO, "pings before the start of the replay or after its end: {count}", ""),
     "dvl_outages": (
         WARNING,

@@ -46,6 +46,8 @@ from insdvl_replay.preparation.plugins import prepare_user_measurements, prepare
 
 MOST_DROPPED: Final = 0.5  # of the pings: a residual limit that drops more is a mistake
 RESIDUAL_HINT: Final = "set dvl.max_beam_residual_mps to several times the noise of a beam, or leave it out"
+FEWEST_PINGS: Final = 3  # with fewer, a replay is one of the IMU alone
+LEAST_COVERED: Final = 0.5  # of the time of the IMU by the DVL, from its first to its last velocity
 MOST_OUTSIDE: Final = 0.2  # of the pings: sensors that do not start and stop together explain fewer
 LONGEST_BRIDGE_S: Final = 3600.0  # longer gaps cannot be bridged
 WIDEST_ATTITUDE_RAD: Final = np.pi / 2.0  # where an attitude may be off by more, errors no longer add up
@@ -82,6 +84,9 @@ def read_checked_dive(
     place = str(logs.name_giver((path,) if isinstance(path, Path) else path))
     if (error := length_refusal(place, dive.imu)) is not None:
         raise error
+    if len(dive.dvl.time_ns) < FEWEST_PINGS:
+        what = f"{counted(len(dive.dvl.time_ns), 'ping')} of the DVL can be used, and a replay needs {FEWEST_PINGS}"
+        raise LogError(what, "check whether its log is whole, and dvl.topic and its flags", place)
     frozen: tuple[Note, ...] = ()
     if dive.reference is not None:
         reference, frozen = without_frozen(dive.imu, dive.dvl, dive.reference)
@@ -147,9 +152,14 @@ def reference_at_imu(
 def coverage_notes(sample_ns: TimeNs, ping_ns: TimeNs) -> list[Note]:
     """Note pings outside the samples of an IMU, if these are more than sensors that start and stop apart explain."""
     outside = int(np.count_nonzero((ping_ns < sample_ns[0]) | (ping_ns > sample_ns[-1])))
-    if outside <= MOST_OUTSIDE * len(ping_ns):
-        return []
-    return [note("dvl_outside_imu", outside, total=len(ping_ns))]
+    notes: list[Note] = []
+    if outside > MOST_OUTSIDE * len(ping_ns):
+        notes.append(note("dvl_outside_imu", outside, total=len(ping_ns)))
+    length_s = float(seconds(ping_ns[-1], int(ping_ns[0]))) if len(ping_ns) else 0.0
+    dive_s = float(seconds(sample_ns[-1], int(sample_ns[0])))
+    if length_s < LEAST_COVERED * dive_s:
+        notes.append(note("dvl_covers_little", len(ping_ns), length=length_s, dive=dive_s))
+    return notes
 
 
 def prepare_dive(dive: Dive, config: Config) -> Prepared:

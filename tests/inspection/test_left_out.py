@@ -15,6 +15,7 @@ from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
+from insdvl_replay.inspection.dry_run import without_marks
 from insdvl_replay.inspection.proposal import Given
 from insdvl_replay.inspection.roles import RoleReadings, read_roles
 from insdvl_replay.inspection.trials import thinned
@@ -200,6 +201,15 @@ def test_a_dive_of_some_seconds_does_not_count_beside_others() -> None:
     assert note.text.startswith("of_5_s is not used")
     assert automatic._without_short([short], notes) == [short]
     assert notes == [note]
+
+
+def test_a_number_that_stands_for_none_does_not_tell_the_size_of_a_field() -> None:
+    values = np.random.default_rng(1).normal(1.0, 0.1, (50, 3))
+    marked = values.copy()
+    marked[10:40] = 999.999
+    np.testing.assert_array_equal(without_marks(marked), np.delete(values, np.arange(10, 40), axis=0))
+    assert without_marks(values) is values
+    assert len(without_marks(np.full((5, 3), 2.0))) == 5
 
 
 def test_a_stretch_of_a_few_samples_or_pings_is_no_dive_to_search_in() -> None:

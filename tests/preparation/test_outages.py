@@ -2,14 +2,17 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
 from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import LogError
+from insdvl_replay.logs import write_dive
 from insdvl_replay.nav.earth_model import HOLD_AFTER_S, GravityHeight, followed
-from insdvl_replay.preparation.prepared import coverage_notes, outage_notes
+from insdvl_replay.preparation.prepared import FEWEST_PINGS, coverage_notes, outage_notes, read_checked_dive
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim import dive as sim_dive
 from insdvl_replay.sim.dive import exact_dive, simulate_dive
@@ -44,6 +47,25 @@ def test_many_pings_outside_the_samples_of_the_imu_are_a_warning(last_s: float, 
     found = coverage_notes(samples_ns, pings_ns((1.0, 101.0)))
     expected = [("dvl_outside_imu", "warning", outside)] * bool(outside)
     assert [(note.code, note.severity, note.count) for note in found] == expected
+
+
+@pytest.mark.parametrize(("last_s", "noted"), [(52.0, False), (48.0, True)])
+def test_a_dvl_that_covers_less_than_half_of_the_dive_is_a_warning(last_s: float, noted: bool) -> None:
+    found = coverage_notes(pings_ns((0.0, 101.0)), pings_ns((1.0, last_s)))
+    assert [(note.code, note.severity) for note in found] == [("dvl_covers_little", "warning")] * noted
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_dive_of_one_or_two_pings_is_refused(count: int, tmp_path: Path) -> None:
+    dive = simulate_dive("straight", seed=1, duration_s=8.0, imu_rate_hz=50.0)
+    write_dive(
+        tmp_path / "dive.mcap", dataclasses.replace(dive, dvl=dive.dvl.rows(np.arange(len(dive.dvl.time_ns)) < count))
+    )
+    if count < FEWEST_PINGS:
+        with pytest.raises(LogError, match=f"{count} pings? of the DVL can be used"):
+            read_checked_dive(tmp_path / "dive.mcap", load_config())
+    else:
+        assert len(read_checked_dive(tmp_path / "dive.mcap", load_config()).dvl.time_ns) == count
 
 
 def test_gravity_follows_the_height_and_is_held_without_velocities() -> None:
