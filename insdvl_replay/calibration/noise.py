@@ -18,7 +18,8 @@ from insdvl_replay.calibration.certainty import newey_west
 from insdvl_replay.calibration.innovations import SKIPPED, DiveInnovations
 from insdvl_replay.calibration.rows import NoiseRow
 from insdvl_replay.core.config import Filter
-from insdvl_replay.core.dive_columns import Floats
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.history import Innovations
 from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.words import Estimated
@@ -27,6 +28,7 @@ from insdvl_replay.preparation.filters import DvlNoise, ResolvedFilter
 
 # Noise keys of the inertial sensors, and their readings.
 INERTIAL: Final = {"accel_white_mps_rts": "specific_force_b", "gyro_white_rad_rts": "angular_rate_b"}
+GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
 # For each axis of a velocity, or for one beam.
 DVL: Final[tuple[Literal["velocity_sd_mps", "beam_sd_mps"], ...]] = ("velocity_sd_mps", "beam_sd_mps")
 UNITS: Final = {
@@ -54,9 +56,33 @@ UNBOUNDED: Final = 3.0  # standard deviation of the logarithm beyond which none 
 # Minus twice the log-likelihood by which a noise that is kept may be less likely: three standard deviations.
 CONTRADICTED: Final = 9.0
 AS_IT_WAS: Final = "cannot be determined from these dives; unchanged"
+OF_CLASS: Final = (
+    "cannot be determined from these dives; that of preset {preset}, the class of this IMU, as the configured value "
+    "does not fit them"
+)
 AT_MOST: Final = "cannot be determined from these dives; upper limit, as the configured value does not fit them"
 OWN_NOISE: Final = "[filters.NAME] of the baseline sets its own noise, which overrides [noise] and [dvl]"
 NO_GEOMETRY: Final = "the geometry of the DVL cannot be determined, and its errors would count as noise"
+
+
+def imu_class(imu: ImuColumns) -> str:
+    """Return the preset of the class of sensors that the readings of an IMU may come from, by their scatter."""
+    names = []
+    for key, field in INERTIAL.items():
+        scatter = readings_scatter(getattr(imu, field), imu.usual_step_s)
+        names.append((scatter > 0.0 and sensor_class(key, scatter)) or GRADES[-1])
+    return max(names, key=GRADES.index)
+
+
+def noise_class(key: str, value: float) -> str:
+    """Name the class of sensors with a noise: the preset that has just this value, else by `sensor_class`.
+
+    The presets cover more than the noise of their sensors.
+    """
+    for preset in GRADES:
+        if getattr(load_config(preset).noise, key) == value:
+            return preset
+    return sensor_class(key, value)
 
 
 @dataclass(frozen=True)
@@ -74,9 +100,7 @@ class FittedNoise:
 def noise_row(fitted: FittedNoise, key: str, status: Estimated, why: str = "", sd: float | None = None) -> NoiseRow:
     """Return the row of one noise; the sd is None if the innovations do not bound it."""
     before, after = fitted.before[key], fitted.after[key]
-    return NoiseRow(
-        key, UNITS[key], before, after, sd, sensor_class(key, after) if key in INERTIAL else "", status, why
-    )
+    return NoiseRow(key, UNITS[key], before, after, sd, noise_class(key, after) if key in INERTIAL else "", status, why)
 
 
 def noise_of(baseline: ResolvedFilter) -> dict[str, float]:
@@ -200,7 +224,8 @@ def determined_noise(
     """Propose the noise that the dives determine; keep the configured noise otherwise, unless they contradict it.
 
     A noise that no sensor has is held: it has another cause. The others are then scaled until the mean NIS is its
-    degrees of freedom, and are upper limits.
+    degrees of freedom. Noise that the dives contradict but do not determine is that of the class of the IMU, and of a
+    DVL an upper limit.
     """
     sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
     scatter = {
@@ -238,12 +263,44 @@ def determined_noise(
             is_bad or search.likelihood(proposed.after) > search.likelihood(fitted.after) + CONTRADICTED
         )
         kept = fitted if is_limit else proposed
+    unknown = [key for key, (status, _) in statuses.items() if status == Estimated.NOT_DETERMINED]
+    limits = dict.fromkeys(unknown, AT_MOST) if is_limit else dict[str, str]()
+    of_imu = [key for key in limits if key in INERTIAL]
+    if of_imu:
+        preset = _class_of(kept, of_imu, dives)
+        limits |= dict.fromkeys(of_imu, OF_CLASS.format(preset=preset))
+        kept = _with_class(kept, of_imu, preset, dives, changes)
+        statuses |= dict.fromkeys(of_imu, (Estimated.OF_CLASS, ""))
     rows = []
     for key, (status, why) in statuses.items():
-        is_bound = is_limit and status == Estimated.NOT_DETERMINED
         sd = float(f"{sds[key] * fitted.after[key]:.2g}") if sds[key] < UNBOUNDED else None
-        rows.append(noise_row(kept, key, status, AT_MOST if is_bound else why, sd))
+        rows.append(noise_row(kept, key, status, limits.get(key, why), sd))
     return kept, tuple(rows)
+
+
+def _class_of(found: FittedNoise, keys: Sequence[str], dives: Sequence[DiveInnovations]) -> str:
+    """Return the preset of the class of an IMU by upper limits of its noise, and by the scatter of its readings."""
+    by_readings = max((imu_class(dive.dive.imu) for dive in dives), key=GRADES.index)
+    by_limits = max((sensor_class(key, found.after[key]) or by_readings for key in keys), key=GRADES.index)
+    return min(by_readings, by_limits, key=GRADES.index)
+
+
+def _with_class(
+    found: FittedNoise, keys: Sequence[str], preset: str, dives: Sequence[DiveInnovations], changes: Sequence[Floats]
+) -> FittedNoise:
+    """Give some noise of the IMU the values of its class, and the DVL more if the innovations are too large for them.
+
+    The presets cover more than the sensors, so that a DVL fitted to what they leave would be too good.
+    """
+    usual = load_config(preset).noise
+    of_class = {key: getattr(usual, key) for key in keys}
+    with_class = FittedNoise(found.before, {**found.after, **of_class})
+    raised = levelled(with_class, dives, changes, np.array([float(key in DVL) for key in found.after]))
+    after = dict(with_class.after)
+    for key in DVL:
+        if key in after:
+            after[key] = max(after[key], raised.after[key])
+    return replace(with_class, after=after)
 
 
 def nis_per_dof(dive: DiveInnovations, change: Floats) -> float:

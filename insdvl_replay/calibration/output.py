@@ -115,7 +115,7 @@ def _reasons(found: Calibration) -> list[Remark]:
 
     rows = [(what, row) for status, what in _KEPT.items() for row in found.all_rows if row.status == status]
     reasons = [(LABELS[row.parameter], what + row.why) for what, row in rows]
-    kept = (Estimated.HELD, Estimated.NOT_DETERMINED)
+    kept = (Estimated.HELD, Estimated.NOT_DETERMINED, Estimated.OF_CLASS)
     reasons += [(row.parameter, row.why) for row in found.noise_rows if row.status in kept]
     names: dict[str, list[str]] = {}
     for name, why in reasons:
@@ -209,7 +209,8 @@ def _axes(name: str, row: DiveRow) -> str:
 def _noise_after(row: NoiseRow) -> str:
     if row.status == Estimated.NOT_DETERMINED:
         return f"at most {number(row.after)}" if row.is_proposed else Estimated.NOT_DETERMINED
-    return number(row.after) if row.status in (Estimated.ESTIMATED, Estimated.NOT_ASKED) else Estimated.HELD
+    shown = (Estimated.ESTIMATED, Estimated.OF_CLASS, Estimated.NOT_ASKED)
+    return number(row.after) if row.status in shown else Estimated.HELD
 
 
 # --- The settings.
@@ -259,7 +260,7 @@ def _comment(row: ParameterRow) -> str:
     match row.status:
         case Estimated.NOT_ASKED:
             return f"{row.parameter}: not requested"
-        case Estimated.HELD | Estimated.NOT_DETERMINED:
+        case Estimated.HELD | Estimated.NOT_DETERMINED | Estimated.OF_CLASS:
             return f"{row.parameter}: unchanged; {row.why}"
         case Estimated.IMPLAUSIBLE:
             return f"{row.parameter}: unchanged; {row.change:+.4g} {row.unit} was found and rejected: {row.why}"
@@ -274,7 +275,7 @@ def _noise_lines(row: NoiseRow) -> Iterator[str]:
         sd = "" if row.sd is None else f", sd {row.sd:.2g} {row.unit}"
         known_class = f", class {row.sensor_class}" if row.sensor_class else ""
         yield f"# highest likelihood of the innovations{sd}; {before}{known_class}"
-    elif row.status in (Estimated.NOT_DETERMINED, Estimated.IMPLAUSIBLE):
+    elif row.status in (Estimated.NOT_DETERMINED, Estimated.OF_CLASS, Estimated.IMPLAUSIBLE):
         yield f"# {row.parameter}: {row.why}; {before}"
     if row.is_proposed:
         yield f"{row.parameter} = {toml_value(row.after)}"

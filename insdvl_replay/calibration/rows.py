@@ -45,12 +45,13 @@ class NoiseRow(Struct, frozen=True):
 
     @property
     def is_proposed(self) -> bool:
-        """Whether it is estimated, or a limit below the configured value; never a noise that no sensor has."""
+        """Whether it is estimated, of a class, or a limit other than configured; never a noise that no sensor has."""
         from insdvl_replay.evaluation.notes import CLASSES  # heavy, and a schema needs the rows alone
 
-        limit = self.status == Estimated.NOT_DETERMINED and self.after != self.before
+        known = self.status == Estimated.ESTIMATED
+        unknown = self.status in (Estimated.NOT_DETERMINED, Estimated.OF_CLASS) and self.after != self.before
         is_possible = CLASSES[self.parameter].least <= self.after < math.inf
-        return is_possible and (limit or self.status == Estimated.ESTIMATED)
+        return is_possible and (known or unknown)
 
 
 class DiveRow(Struct, frozen=True):

@@ -166,4 +166,5 @@ class Estimated(StrEnum):
     HELD = "held"  # It cannot be determined from these dives and is unchanged.
     IMPLAUSIBLE = "implausible"  # The estimate cannot be right and is not proposed.
     NOT_DETERMINED = "not determined"  # A noise that these dives determine only to more than a factor of two.
+    OF_CLASS = "of class"  # A noise that these dives contradict but do not determine: that of the class of the IMU.
     NOT_ASKED = "not asked"

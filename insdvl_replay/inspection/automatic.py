@@ -18,15 +18,15 @@ from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
-from insdvl_replay.calibration.noise import INERTIAL
+from insdvl_replay.calibration.noise import GRADES, INERTIAL, imu_class, noise_class
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config, render_toml
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ImuColumns, ReferenceColumns, nanoseconds
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
 from insdvl_replay.core.errors import LogError, Note, UserError, listed
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter, sensor_class
+from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.proposal import (
     Given,
@@ -45,7 +45,6 @@ from insdvl_replay.preparation.run import FIT, LEAST_NIS, MISREAD, MOST_NIS, bas
 from insdvl_replay.results.folder import VEHICLE_FILE
 
 MOST_DIVES: Final = 5  # dives from which the settings are found
-GRADES: Final = ("fog", "tactical", "mems")  # presets from the quietest IMU to the noisiest
 # What a calibration finds, by the settings that it replaces.
 GROUPS: Final = {"arm": "lever_arm_m", "mounting": "mounting_rpy_deg", "delay": "latency_s", "scale": "scale"}
 LONGEST_S: Final = 2400.0  # of a dive, from which geometry and noise are fitted
@@ -312,21 +311,12 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
 # --- The class of the IMU.
 
 
-def imu_class(imu: ImuColumns) -> str:
-    """Return the preset of the class of sensors that the readings of an IMU may come from, by their scatter."""
-    names = []
-    for key, field in INERTIAL.items():
-        scatter = readings_scatter(getattr(imu, field), imu.usual_step_s)
-        names.append((scatter > 0.0 and sensor_class(key, scatter)) or GRADES[-1])
-    return max(names, key=GRADES.index)
-
-
 def _of_class(preset: str, config: Config) -> Config:
     """Set the noise, the biases and the filters of a preset."""
     found = load_config(preset)
     config = msgspec.structs.replace(config, noise=found.noise, filters=found.filters)
-    biases = {key: getattr(found.initial, key) for key in ("accel_bias_sd_mg", "gyro_bias_sd_degph")}
-    return with_values(config, "initial", **biases)
+    keys = ("accel_bias_sd_mg", "gyro_bias_sd_degph", "uncertainty")
+    return with_values(config, "initial", **{key: getattr(found.initial, key) for key in keys})
 
 
 # --- The start.
@@ -451,7 +441,7 @@ def _with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Co
     fitted = {key: getattr(config.noise, key) for key in INERTIAL}
     if any(value == getattr(usual, key) for key, value in fitted.items()):
         return config, preset
-    classes = [sensor_class(key, value) or preset for key, value in fitted.items()]
+    classes = [noise_class(key, value) or preset for key, value in fitted.items()]
     better = max(classes, key=GRADES.index)
     if GRADES.index(better) >= GRADES.index(preset):
         return config, preset
