@@ -106,7 +106,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     span, settings = (prepared.alignment.start_ns, prepared.end_ns), config.reference
     noise = ReferenceNoise(settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg)
     errors, tables = tables_of_filters(
-        dive, histories, runs.drawn, runs.outages, runs.user_outages, noise, prepared.sensor_sd,
+        dive, histories, runs.spread, runs.drawn, runs.outages, runs.user_outages, noise, prepared.sensor_sd,
         jump_table(dive.name, histories, runs.motions),
         start_ns=span[0], bridged_gaps=len(prepared.gaps.start_ns) > 0,
     )  # fmt: skip

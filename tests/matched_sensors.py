@@ -9,7 +9,7 @@ MATCHED = Config(
         accel_bias_walk_mps2_rts=2e-5,
         gyro_bias_walk_radps_rts=8e-8,
     ),
-    initial=Initial(accel_bias_sd_mg=3.0),
+    initial=Initial(uncertainty="settings", accel_bias_sd_mg=3.0),
     dvl=Dvl(velocity_sd_mps=0.01),
     filters={
         "baseline": Filter(aiding=("velocity",)),

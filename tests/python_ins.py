@@ -37,7 +37,7 @@ DENSITIES = {
     "gyro_bias_walk_radps_rts": 8e-8,
 }
 NOISE = Noise(**DENSITIES)
-INITIAL = Initial(velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0)
+INITIAL = Initial(uncertainty="settings", velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0)
 IMU_ERRORS = ImuErrors(accel_bias_sd_mps2=3.0 * MG, gyro_bias_sd_radps=10.0 * DEG_PER_HOUR, **DENSITIES)
 DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0)
 

@@ -1,4 +1,4 @@
-"""Frozen settings of a replay, each key with its unit. The defaults are the paper's setting, preset ``levy-klein``.
+"""Frozen settings of a replay, each key with its unit. The defaults are the paper's setting, but for `uncertainty`.
 
 `config_file` reads and writes them as TOML.
 """
@@ -288,7 +288,7 @@ def spelled_out(solution: str | Solution) -> Solution:
 
 
 class Initial(Section, frozen=True):
-    """State and uncertainty at the start. The uncertainties are the paper's, reconstructed."""
+    """State and uncertainty at the start. The standard deviations are the paper's, reconstructed."""
 
     source: Annotated[
         Literal["reference", "level", "sensor"],
@@ -308,6 +308,13 @@ class Initial(Section, frozen=True):
     height_m: Annotated[float, Comment("used if the reference has no height")] = 0.0
     accel_bias_mg: Annotated[Vector, Comment("forward, starboard, down")] = (0.0, 0.0, 0.0)
     gyro_bias_degph: Annotated[Vector, Comment("forward, starboard, down")] = (0.0, 0.0, 0.0)
+    uncertainty: Annotated[
+        Literal["source", "settings"],
+        Comment(
+            "source (velocity, attitude and position are as uncertain as what they come from; the values below count "
+            "where that is unknown, and for random starts) | settings (the values below)"
+        ),
+    ] = "source"
     velocity_sd_mps: Annotated[Positive, Comment("each axis")] = 0.1
     misalignment_sd_deg: Annotated[
         tuple[Positive, Positive, Positive],

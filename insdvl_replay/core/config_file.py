@@ -281,7 +281,7 @@ def load_config(
     Parameters
     ----------
     preset : str, optional
-        One of `PRESETS`.
+        One of `PRESETS`. Without it, files change the defaults; without files, it is the first one.
     file : Path or sequence of Path, optional
         TOML files; later ones override earlier ones, key by key. The filters of the first file that has some replace
         those of the preset. The filters of later files are added; one with a known name replaces that filter.
@@ -299,11 +299,14 @@ def load_config(
         Unknown preset, unreadable file, unknown key (with the nearest known one), value of the wrong kind or range,
         code that is not allowed.
     """
-    preset = preset or PRESETS[0]
-    if preset not in PRESETS:
+    files = [file] if isinstance(file, Path) else file or ()
+    # Files of settings begin with the defaults; without them, a dive is replayed as in the paper.
+    if preset is None and not files:
+        preset = PRESETS[0]
+    if preset is not None and preset not in PRESETS:
         raise ConfigError(f"preset '{preset}' is not known", f"use one of: {', '.join(PRESETS)}")
-    layers = [_preset(preset)]
-    for path in [file] if isinstance(file, Path) else file or ():
+    layers = [] if preset is None else [_preset(preset)]
+    for path in files:
         source = _file(path)
         layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
     settings = msgspec.to_builtins(Config())

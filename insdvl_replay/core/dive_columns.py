@@ -167,7 +167,16 @@ class SensorColumns(Columns):
 
     values: Floats  # (k, s); of a depth m below the surface; of a position NaN for a height that a fix lacks
     mat_nb: Floats | None = None  # (k, 3, 3); of a heading the attitude that it is part of, if its messages hold one
-    per_row = ("values", "mat_nb")
+    attitude_sd: Floats | None = None  # (k, 3) rad, of that attitude about three axes, the last one upright, if stated
+    per_row = ("values", "mat_nb", "attitude_sd")
+
+
+@dataclass(frozen=True)
+class StatedErrors:
+    """What the messages of a solution say of its errors."""
+
+    time_ns: TimeNs  # (c,), evenly chosen
+    cov: Floats  # (c, 9, 9) of velocity error, misalignment and position error, all in n, SI; NaN where not given
 
 
 @dataclass(frozen=True)
@@ -177,6 +186,7 @@ class ReferenceColumns(Columns):
     position: Floats  # (k, 3) latitude rad, longitude rad, height m
     velocity_n: Floats  # (k, 3) over ground, m/s
     mat_nb: Floats  # (k, 3, 3)
+    stated: StatedErrors | None = None  # at times of its own; None where the messages say nothing
     per_row = ("position", "velocity_n", "mat_nb")
 
     @cached_property

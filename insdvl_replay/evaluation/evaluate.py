@@ -69,6 +69,7 @@ def evaluated_times(reference: ReferenceColumns | None, start_ns: int, end_ns: i
 def tables_of_filters(
     dive: Dive,
     histories: tuple[History, ...],  # the first is the baseline
+    spread: tuple[History, ...],  # of those that were run here, from a start as uncertain as [initial]
     drawn: tuple[DrawnErrors, ...],  # of the filters, in the same order; empty without a reference
     outages: OutageRuns,
     user_outages: Mapping[str, OutageRuns],  # by filter of the user's, with the baseline's runs
@@ -82,6 +83,9 @@ def tables_of_filters(
     """Compare the filters with the reference and with each other; return their errors by filter, too."""
     log, reference, (baseline, *candidates) = dive.name, dive.reference, histories
     names = [history.filter for history in histories]
+    # Others than the built-in filters are compared from the dive's own start.
+    run_here = {history.filter for history in spread}
+    others = (baseline, *(history for history in candidates if history.filter not in run_here))
     errors, in_states, drift, fits, accuracy = {}, {}, [], [], {}
     if reference is not None:
         for history in histories:
@@ -116,7 +120,7 @@ def tables_of_filters(
     ]
     return errors, Tables(
         improvement=improvement_table(log, histories),
-        convergence=convergence_table(log, histories, convergence),
+        convergence=convergence_table(log, spread, convergence) + convergence_table(log, others, convergence),
         reference_error=reference_error,
         consistency=consistency,
         credibility=credibility,

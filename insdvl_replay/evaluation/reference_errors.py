@@ -206,7 +206,7 @@ class DrawnErrors:
     position_error_ned_m: Floats  # (s, k, 3)
     velocity_error_n: Floats  # (s, k, 3), m/s
     error: Floats  # (s, k, 12), of the states, see `errors_at`
-    sd: Floats  # (k, 12), by the filter's covariance, from its own start; from the others it hardly differs
+    sd: Floats  # (k, 12), by the filter's covariance, from one start of them; it hardly differs between random ones
     drifting_ned_m: Floats  # (s, k, 3), as of `ReferenceErrors`
 
 
@@ -229,13 +229,16 @@ def run_from_start(history: History, reference: ReferenceColumns, truth: TruthCo
     )
 
 
-def drawn_errors(runs: Sequence[DrawnErrors]) -> DrawnErrors:
-    """Take the runs of one filter together, that from the dive's own start first."""
+def drawn_errors(runs: Sequence[DrawnErrors], *, own_sd: bool = True) -> DrawnErrors:
+    """Take the runs of one filter together, that from the dive's own start first.
+
+    The standard deviations are those of the dive's own start, else of the first random one.
+    """
     names = ["velocity_error_n", "error", "position_error_ned_m", "drifting_ned_m"]
     columns: dict[str, Any] = {name: np.concatenate([getattr(run, name) for run in runs]) for name in names}
     if runs[0].drifting_ned_m is runs[0].position_error_ned_m:  # without corrections one array holds both
         columns["drifting_ned_m"] = columns["position_error_ned_m"]
-    return replace(runs[0], **columns)
+    return replace(runs[0], sd=runs[0 if own_sd or len(runs) < 2 else 1].sd, **columns)
 
 
 def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:

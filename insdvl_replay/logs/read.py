@@ -35,7 +35,7 @@ from insdvl_replay.logs.columns.reference import (
     read_tum,
 )
 from insdvl_replay.logs.columns.sensors import decode_log_topic, decode_sensor
-from insdvl_replay.logs.columns.tables import Table, clock_notes, read_tables, stamp_unit
+from insdvl_replay.logs.columns.tables import SAMPLED, Table, clock_notes, read_tables, stamp_unit
 from insdvl_replay.logs.columns.topics import (
     LOG_TOPIC,
     NEEDS,
@@ -295,7 +295,8 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
         def look(wanted: Sequence[TopicRequirement] = wanted) -> tuple[Source, ...]:
             sources = tuple(map(topics.need, wanted))
             for source, other in product(sources, reference.sources):
-                shared = [path for quantity, path in source.fields.items() if other.fields.get(quantity) == path]
+                read = {quantity: path for quantity, path in source.fields.items() if quantity not in SAMPLED}
+                shared = [path for quantity, path in read.items() if other.fields.get(quantity) == path]
                 if other.topic == source.topic and shared:
                     text = f"{source.role} and the reference read the same field, {shared[0]} of '{source.topic}'"
                     hint = "to judge it by another reference: reference.topic and reference.fix"

@@ -30,6 +30,8 @@ FEWEST_SAMPLES: Final = 10
 LONGEST_PAUSE_S: Final = 0.5
 """Longest pause of the IMU to integrate across."""
 NOTHING: Final = (0.0, 0.0, 0.0)
+FEWEST_SCATTERING: Final = 6
+"""With fewer pings, their scatter does not show that their noise is smaller than that of the settings."""
 UNSEEN_MPS2: Final = 0.5
 """Standard deviation of a vehicle's mean acceleration without a DVL: a turn at 2 m/s and 15 deg/s."""
 
@@ -44,6 +46,7 @@ class Level:
 
     gravity_b: Floats  # (3,), m/s^2, downwards
     velocity_b: Floats  # (3,), of the IMU over ground at the start, by the first ping, m/s; NaN without pings
+    velocity_cov_b: Floats  # (3, 3), of its noise, by the scatter of the pings, m^2/s^2
     per_accel_bias: Floats  # (3, 3), near minus one
     per_gyro_bias: Floats  # (3, 3), m/s^2 for one rad/s
     noise_cov_b: Floats  # (3, 3), m^2/s^4
@@ -131,6 +134,7 @@ def find_level(
         per_gyro_bias: Floats,
         velocity_cov: Floats,
         velocity_b: Floats,
+        ping_cov_b: Floats,
         pings: int,
     ) -> Level:
         later = np.cumsum(weights[::-1])[::-1]
@@ -138,6 +142,7 @@ def find_level(
         return Level(
             weights @ (velocity - force_sum[rows]),
             velocity_b,
+            ping_cov_b,
             -np.einsum("k,kij->ij", weights, mat_sum[rows]),
             np.einsum("k,kij->ij", weights, swung[rows] + per_gyro_bias),
             velocity_cov + white * np.eye(3),
@@ -148,7 +153,7 @@ def find_level(
     # Without a DVL, the velocity counts as equal at the end and at the start.
     ends, unseen = np.array([0, len(time_s) - 1]), UNSEEN_MPS2**2 * np.eye(3)
     difference, still, per_gyro_bias = np.array([-1.0, 1.0]) / time_s[-1], np.zeros((2, 3)), np.zeros((2, 3, 3))
-    unaided = level(ends, difference, still, per_gyro_bias, unseen, np.full(3, np.nan), 0)
+    unaided = level(ends, difference, still, per_gyro_bias, unseen, np.full(3, np.nan), np.full((3, 3), np.nan), 0)
     if len(ping_ns) < 2:
         return unaided
 
@@ -164,10 +169,15 @@ def find_level(
     scatter = float(np.sum((free - free.mean(axis=0) - np.outer(ping_s, slope)) ** 2))
     expected = float(np.trace(cov_b.mean(axis=0))) * (len(rows) - 2)
     larger = max(1.0, scatter / expected) if expected > 0.0 else 1.0
+    # The noise of the first ping: by the scatter, shared among the axes as beams do; with few pings by the settings.
+    ping_cov_b = larger * cov_b[0]
+    if len(rows) >= FEWEST_SCATTERING:
+        unit_cov_b = velocities.unit_cov_b[inside]
+        ping_cov_b = scatter / (float(np.trace(unit_cov_b.mean(axis=0))) * (len(rows) - 2)) * unit_cov_b[0]
     # The first ping errs less than the line's intercept, which contains the whole error of the accelerometers.
     velocity_b = free[0] - slope * time_s[rows[0]]
     per_gyro_bias = mat[rows] @ skew(lever_arm_b) - skew(velocity) @ mat_sum[rows]
-    aided = level(rows, weights, velocity, per_gyro_bias, larger * slope_cov, velocity_b, len(rows))
+    aided = level(rows, weights, velocity, per_gyro_bias, larger * slope_cov, velocity_b, ping_cov_b, len(rows))
     return min(aided, unaided, key=lambda found: float(np.trace(found.noise_cov_b)))
 
 
@@ -250,7 +260,13 @@ def with_more_states(start: Start, more_sd: Floats, constants: int, *, heading_b
     return replace(start, cov=cov, constants=np.zeros(constants))
 
 
-def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n: Floats | None) -> Floats:
+def start_cov(
+    sd: Floats,
+    mat_nb: Floats,
+    level: Level | None,
+    velocity_by_dvl_n: Floats | None,
+    velocity_cov_n: Floats | None = None,
+) -> Floats:
     """Return the covariance of a start from the errors that do not depend on each other.
 
     Accelerometers that are biased tilt the level by exactly ``phi = (-b_e, b_n) / g``, and a velocity that the DVL
@@ -266,6 +282,8 @@ def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n
         Where it made roll and pitch, whose standard deviations then follow from it.
     velocity_by_dvl_n : ndarray, shape (3,), or None
         The velocity, where the DVL's was turned to n.
+    velocity_cov_n : ndarray, shape (3, 3), or None
+        Covariance of its noise, m^2/s^2, where it is known better than by ``sd``.
 
     Returns
     -------
@@ -279,6 +297,8 @@ def start_cov(sd: Floats, mat_nb: Floats, level: Level | None, velocity_by_dvl_n
         effect[tilt, BA] = per_gravity @ level.per_accel_bias
         effect[tilt, BG] = per_gravity @ level.per_gyro_bias
         own[tilt, tilt] = per_gravity @ level.noise_cov_b @ per_gravity.T
+    if velocity_cov_n is not None:
+        own[DV, DV] = velocity_cov_n
     if velocity_by_dvl_n is not None:
         effect[DV] += -skew(velocity_by_dvl_n) @ effect[PHI]
     cov: Floats = effect @ own @ effect.T

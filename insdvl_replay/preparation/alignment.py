@@ -1,7 +1,7 @@
 """Where and how the filters start (``[initial]``): by the reference, other sensors, gravity, or as configured."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import check_start, start_latitude_deg
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, ReferenceColumns, apart_s, at_time
 from insdvl_replay.core.errors import LogError, Note
-from insdvl_replay.core.states import BA, BG, BY_SENSOR, DEG, DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.core.states import BY_SENSOR, DEG, DEG_PER_HOUR, MG, PHI
 from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
@@ -28,11 +28,22 @@ from insdvl_replay.nav.levelling import (
 )
 from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.preparation.notes import note
+from insdvl_replay.preparation.start_sources import (
+    AttitudeSource,
+    HeadingSource,
+    PositionSource,
+    StartSources,
+    initial_sd,
+    source_note,
+    source_sd,
+    velocity_change_cov,
+)
 
 FAR_S: Final = 1.0  # readings further from the start are not used for it
 HEADING_LIMIT_DEG: Final = 10.0  # no compass of a vehicle errs by more, even with the declination left in
 GIVEN_HEADING_LIMIT_DEG: Final = 5.0  # a heading that somebody read off a compass, or a plan, is as near as this
 TILT_LIMIT: Final = 5.0 * DEG  # no AHRS errs by more, nor do accelerometers
+LEAST_DVL_SD_MPS: Final = 5e-4  # of a ping, whatever its neighbours show: readings are rounded
 LATITUDE_LIMIT_DEG: Final = 0.1  # a latitude that a user gives in round numbers is as near as this
 
 
@@ -44,7 +55,13 @@ class Alignment:
     start: Start
     notes: tuple[Note, ...]
     initial: Initial | None = None  # the settings, with what other sensors filled in
+    spread_cov: Floats | None = None  # (n, n) of random starts, by [initial]; None: as that of the start
     used_ns: Mapping[str, int] = field(default_factory=dict)  # by sensor, the time of the reading that the start took
+
+    @property
+    def spread_start(self) -> Start:
+        """The start with the uncertainty that random starts are drawn from."""
+        return self.start if self.spread_cov is None else replace(self.start, cov=self.spread_cov)
 
     @property
     def row(self) -> ReferenceColumns:
@@ -55,7 +72,14 @@ class Alignment:
         )
 
 
-def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, end_ns: int) -> Alignment:
+def align(
+    dive: Dive,
+    config: Config,
+    velocities: DvlVelocities,
+    start_ns: int,
+    end_ns: int,
+    fitted_heading_sd: float | None = None,  # rad, if the heading of the settings was fitted
+) -> Alignment:
     """Find the start of the filters in a span: the first attitude of the reference or the AHRS, else its first sample.
 
     What the reference lacks comes from other sensors, from gravity (roll, pitch), from the DVL (velocity) and from the
@@ -128,7 +152,7 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
             notes.append(note("start_position_configured", latitude=latitude_deg))
 
     # Attitude.
-    arm_b = np.array(config.dvl.lever_arm_m)
+    arm_b, baseline = np.array(config.dvl.lever_arm_m), resolve_filters(config)[0]
     accel_bias_b, gyro_bias_b = np.array(initial.accel_bias_mg) * MG, np.array(initial.gyro_bias_degph) * DEG_PER_HOUR
     level, samples = None, levelling_samples(imu, start_ns)
     if posed is not None:
@@ -148,7 +172,6 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
         unbiased = ImuColumns(
             samples.time_ns, samples.specific_force_b - accel_bias_b, samples.angular_rate_b - gyro_bias_b
         )
-        baseline = resolve_filters(config)[0]
         level = find_level(
             unbiased,
             velocities,
@@ -162,22 +185,29 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
         mat_nb = mat_from_rpy(np.array([*level.roll_pitch, heading])) if sensed_mat_nb is None else sensed_mat_nb
 
     # Velocity: the reference's, else that of the nearest ping; after levelling, of the first, carried to the start.
-    dvl_velocity_n = None
+    by_dvl, dvl_velocity_n = None, None
     if moving is not None and apart_s(moving.time_ns, moving.velocity_n, np.array([start_ns]))[0] <= FAR_S:
         velocity_n = at_time(moving.time_ns, moving.velocity_n, start_ns)
     else:
-        if level is not None and level.pings:
-            velocity_b = level.velocity_b
-            ping_ns = int(velocities.time_ns[np.searchsorted(velocities.time_ns, start_ns)])
-        else:
-            nearest_ping = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
-            ping_ns = int(velocities.time_ns[nearest_ping])
-            rate_ib_b = at_time(imu.time_ns, imu.angular_rate_b, ping_ns) - gyro_bias_b
-            rate_eb_b = rate_ib_b - mat_nb.T @ earth_rate_n(position[0])
-            velocity_b = velocities.velocity_b[nearest_ping] - np.cross(rate_eb_b, arm_b)
-        velocity_n = dvl_velocity_n = mat_nb @ velocity_b
-        notes.append(note("start_velocity_dvl", away=abs(ping_ns - start_ns) * 1e-9))
-    cov = start_cov(initial_sd(initial), mat_nb, level if sensed_mat_nb is None else None, dvl_velocity_n)
+        rate_ie_b, covs_b = mat_nb.T @ earth_rate_n(position[0]), baseline.velocity_cov(velocities)
+        by_dvl = _velocity_by_dvl(imu, velocities, covs_b, level, start_ns, arm_b, gyro_bias_b + rate_ie_b)
+        velocity_n = dvl_velocity_n = mat_nb @ by_dvl.velocity_b
+        notes.append(note("start_velocity_dvl", away=abs(by_dvl.ping_ns - start_ns) * 1e-9))
+    levelled_by = level if sensed_mat_nb is None else None
+    cov, spread_cov = start_cov(initial_sd(initial), mat_nb, levelled_by, dvl_velocity_n), None
+    if initial.uncertainty == "source":
+        sources = StartSources(
+            _attitude_source(posed=posed is not None, sensed=sensed_mat_nb is not None),
+            _heading_source(posed=posed is not None, sensed=is_heading_sensed, fitted=fitted_heading_sd is not None),
+            _position_source(located=is_located, fixed=fix is not None),
+            dvl_velocity_n is None,
+            fitted_heading_sd,
+        )
+        found_sd = source_sd(dive, config, velocities, sources, start_ns, float(position[0]))
+        velocity_cov_n = None if by_dvl is None else by_dvl.cov_n(mat_nb)
+        spread_cov, cov = cov, start_cov(found_sd.states, mat_nb, levelled_by, dvl_velocity_n, velocity_cov_n)
+        initial = changed(initial, position_sd_m=found_sd.position_m)
+        notes.append(source_note(sources, cov))
 
     # What does not fit together. A configured height stays; the rest of a fix moves from the antenna to the IMU.
     if level is not None:
@@ -191,15 +221,61 @@ def align(dive: Dive, config: Config, velocities: DvlVelocities, start_ns: int, 
         moved = moved_position(position, -(mat_nb @ np.array(config.position.lever_arm_m)))
         position = np.where(np.isfinite(fix), moved, position)
     start = Start(position, velocity_n, mat_nb, cov, accel_bias_b, gyro_bias_b, is_heading_sensed=is_heading_sensed)
-    return Alignment(start_ns, start, tuple(notes), initial, used_ns)
+    return Alignment(start_ns, start, tuple(notes), initial, spread_cov, used_ns)
 
 
-def initial_sd(initial: Initial) -> Floats:
-    """Return the initial standard deviations of the 12 error states, shape (12,), SI units."""
-    sd = np.empty(12)
-    sd[DV], sd[PHI] = initial.velocity_sd_mps, np.array(initial.misalignment_sd_deg) * DEG
-    sd[BA], sd[BG] = initial.accel_bias_sd_mg * MG, initial.gyro_bias_sd_degph * DEG_PER_HOUR
-    return sd
+@dataclass(frozen=True)
+class _DvlVelocity:
+    """A velocity of the IMU over ground by a ping."""
+
+    velocity_b: Floats  # (3,) m/s
+    cov_b: Floats  # (3, 3) of its noise, m^2/s^2
+    ping_ns: int
+
+    def cov_n(self, mat_nb: Floats) -> Floats:
+        """Return the covariance in n, (3, 3); no less than the rounding of readings."""
+        return np.asarray(mat_nb @ self.cov_b @ mat_nb.T + LEAST_DVL_SD_MPS**2 * np.eye(3))
+
+
+def _velocity_by_dvl(
+    imu: ImuColumns,
+    velocities: DvlVelocities,
+    covs_b: Floats,  # (m, 3, 3) of the noise of each ping
+    level: Level | None,
+    start_ns: int,
+    arm_b: Floats,  # (3,) IMU to DVL, m
+    still_rate_b: Floats,  # (3,) what the gyros measure without any turn over ground, rad/s
+) -> _DvlVelocity:
+    """Return the velocity at the start by the level's first ping, else by the nearest one."""
+    if level is not None and level.pings:
+        ping_ns = int(velocities.time_ns[np.searchsorted(velocities.time_ns, start_ns)])
+        return _DvlVelocity(level.velocity_b, level.velocity_cov_b, ping_ns)
+    nearest = int(np.argmin(np.abs(velocities.time_ns - start_ns)))
+    ping_ns = int(velocities.time_ns[nearest])
+    rate_eb_b = at_time(imu.time_ns, imu.angular_rate_b, ping_ns) - still_rate_b
+    velocity_b = velocities.velocity_b[nearest] - np.cross(rate_eb_b, arm_b)
+    change_cov = velocity_change_cov(velocities, nearest, start_ns)
+    return _DvlVelocity(velocity_b, covs_b[nearest] + change_cov, ping_ns)
+
+
+def _attitude_source(*, posed: bool, sensed: bool) -> AttitudeSource:
+    if posed:
+        return AttitudeSource.REFERENCE
+    return AttitudeSource.AHRS if sensed else AttitudeSource.GRAVITY
+
+
+def _heading_source(*, posed: bool, sensed: bool, fitted: bool) -> HeadingSource:
+    if posed:
+        return HeadingSource.REFERENCE
+    if sensed:
+        return HeadingSource.SENSOR
+    return HeadingSource.FIT if fitted else HeadingSource.SETTINGS
+
+
+def _position_source(*, located: bool, fixed: bool) -> PositionSource:
+    if located:
+        return PositionSource.REFERENCE
+    return PositionSource.SENSOR if fixed else PositionSource.SETTINGS
 
 
 def _sensor_attitude(dive: Dive, heading_deg: float | None, start_ns: int, end_ns: int) -> tuple[int, Floats, Note]:

@@ -6,7 +6,7 @@ A mistake in the user's code is a `CandidateError`. Its candidate is then not ev
 from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -80,7 +80,7 @@ def _columns(solution: Solution, start: Start, start_ns: int, end_ns: int) -> So
         )
     is_later = int(time_ns[0]) > start_ns
     given = {"position": start.position, "velocity_n": start.velocity_n, "mat_nb": start.mat_nb}
-    columns = dict[str, Floats]()
+    columns = dict[str, Any]()
     for name, value in given.items():
         own = getattr(solution, name)
         if own is None:

@@ -43,6 +43,12 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
     ),
     "imu_long_gaps": (WARNING, "{gaps}; the gaps are bridged, and sigma grows in them", "{hint}"),
     # The start.
+    "start_source": (
+        INFO,
+        "start: {attitude}, level +- {level:.2g} deg, heading +- {heading:.2g} deg; velocity of {velocity}, "
+        "+- {velocity_sd:.2g} m/s",
+        "",
+    ),
     "start_position_configured": (INFO, "the start has the configured latitude, {latitude:g} deg", ""),
     "start_position_sensor": (INFO, "start position from the fix {away:.2f} s away", ""),
     "start_height_configured": (INFO, "the start has the configured height, {height:g} m", ""),

@@ -162,11 +162,11 @@ def coverage_notes(sample_ns: TimeNs, ping_ns: TimeNs) -> list[Note]:
     return notes
 
 
-def prepare_dive(dive: Dive, config: Config) -> Prepared:
+def prepare_dive(dive: Dive, config: Config, *, fitted_heading_sd: float | None = None) -> Prepared:
     """Do everything that comes before the filters of a dive from `with_reference_at_imu`, but for fitting the heading.
 
     LogError where the span holds nothing to replay, or no reference to start from; ConfigError where the settings do
-    not fit the dive.
+    not fit the dive. The standard deviation, rad, is that of a heading of the settings that was fitted.
     """
     if len(dive.imu.specific_force_b) != len(dive.imu.time_ns):
         raise ValueError(f"{dive.name}: the IMU readings were released; read the log again")
@@ -177,7 +177,7 @@ def prepare_dive(dive: Dive, config: Config) -> Prepared:
     gaps = find_gaps(dive.imu.time_ns, config.imu)
     with error_context(dive.name):
         start_ns, end_ns, gap_notes = apply_gap_policy(gaps, config.imu, start_ns, end_ns, int(dive.imu.time_ns[0]))
-        alignment = align(dive, config, velocities, start_ns, end_ns)
+        alignment = align(dive, config, velocities, start_ns, end_ns, fitted_heading_sd)
         start, start_ns = alignment.start, alignment.start_ns
         config = changed(config, initial=alignment.initial or config.initial)
         filters = resolve_filters(config)

@@ -70,6 +70,7 @@ class Runs:
     histories: tuple[History, ...]
     drawn: tuple[DrawnErrors, ...]  # from random starts; empty without a reference
     outages: OutageRuns  # in windows without the DVL, of those that can be run there
+    spread: tuple[History, ...]  # of the filters, from the dive's own start as uncertain as [initial]
     motions: dict[str, ReferenceColumns]  # of recorded solutions, by name: positions and velocities of each sample
     notes: tuple[Note, ...]
     user_outages: Mapping[str, OutageRuns] = field(default_factory=dict)  # of filters of the user's, with the baseline
@@ -99,6 +100,12 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     histories = _side_by_side(
         timeline, lambda filter_: run_one(filter_, prepared, timeline, cov_ns=cov_ns), prepared.filters
     )
+    spread = histories
+    if prepared.alignment.spread_cov is not None:
+        start = prepared.alignment.spread_start
+        spread = _side_by_side(
+            timeline, lambda filter_: run_one(filter_, prepared, timeline, start=start), prepared.filters
+        )
     outages = run_outages(dive, prepared, timeline, config, histories, plan.windows)
     motions, notes = dict[str, ReferenceColumns](), list[Note]()
     for name, settings in config.solutions.items():
@@ -109,7 +116,7 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     drawn: tuple[DrawnErrors, ...] = ()
     if plan.starts:
         drawn = with_solutions(run_from_drawn_starts(dive, prepared, plan.starts, plan.seed), histories, dive)
-    return Runs(histories, drawn, outages, motions, tuple(notes))
+    return Runs(histories, drawn, outages, spread, motions, tuple(notes))
 
 
 def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]) -> tuple[T, ...]:
@@ -228,7 +235,8 @@ def run_from_drawn_starts(dive: Dive, prepared: Prepared, count: int, seed: int 
         return run_from_start(run_one(filter_, prepared, timeline, start=start), reference, dive.truth)
 
     runs = list(parallel_map(run, [(filter_, start) for filter_ in prepared.filters for start in starts]))
-    return tuple(drawn_errors(runs[row : row + count]) for row in range(0, len(runs), count))
+    own_sd = prepared.alignment.spread_cov is None
+    return tuple(drawn_errors(runs[row : row + count], own_sd=own_sd) for row in range(0, len(runs), count))
 
 
 def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[tuple[Start, ...], Dive, Prepared]:
@@ -238,7 +246,8 @@ def drawn_part(dive: Dive, prepared: Prepared, count: int, seed: int) -> tuple[t
     # Dives differ by these numbers, and they depend neither on a date nor on a processor.
     start_ns, time_ns = prepared.alignment.start_ns, dive.imu.time_ns
     sizes = len(time_ns), len(prepared.velocities.time_ns), prepared.end_ns - start_ns
-    starts = drawn_starts(prepared.alignment.start, count, (*sizes, seed))
+    alignment = prepared.alignment
+    starts = (alignment.start, *drawn_starts(alignment.spread_start, count, (*sizes, seed))[1:])
     # The first part of the dive, and some times of its reference.
     last = int(np.searchsorted(time_ns, start_ns)) + MOST_DRAWN_SAMPLES // (count * len(prepared.filters))
     end_ns = min(prepared.end_ns, int(time_ns[min(last, len(time_ns) - 1)]))
@@ -281,11 +290,12 @@ def prepare_with_heading(dive: Dive, config: Config) -> Prepared:
     if initial.heading_deg != FIT or starts_posed:
         return prepare_dive(dive, config)
     fitted = fitted_start(dive, config)
-    # The standard deviation of the track's fit, or that of the configuration if it is larger.
+    # Random starts have the standard deviation of the track's fit, or that of the configuration if it is larger.
     north, east, down = initial.misalignment_sd_deg
     sds = (north, east, max(down, round(fitted.heading_sd_deg, HEADING_DIGITS)))
     started = _started(initial, fitted.heading_deg, fitted.gyro_bias_degph, misalignment_sd_deg=sds)
-    prepared = prepare_dive(dive, changed(config, initial=started))
+    settings = changed(config, initial=started)
+    prepared = prepare_dive(dive, settings, fitted_heading_sd=fitted.heading_sd_deg * DEG)
     return replace(prepared, notes=(*prepared.notes, note("start_heading_fitted", fitted=fitted)))
 
 

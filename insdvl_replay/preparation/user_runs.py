@@ -170,7 +170,10 @@ class _Candidate:
         history, first, notes, digest = from_start(0)  # a mistake of its own shows at the first run
         assert history is not None
         others = list(parallel_map(from_start, range(1, len(starts)), stop=self.processes.stop))
-        drawn = None if first is None else drawn_errors([first, *(errors for _, errors, *_ in others if errors)])
+        drawn = None
+        if first is not None:
+            own_sd = whole.prepared.alignment.spread_cov is None
+            drawn = drawn_errors([first, *(errors for _, errors, *_ in others if errors)], own_sd=own_sd)
         if others and all(other == digest for *_, other in others):
             notes = (*notes, note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"))
         has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()

@@ -63,6 +63,7 @@ def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
 
 # --- The parts that both screens have.
 
+START_SOURCE: Final = "start_source"  # The code of the note on what the start comes from.
 MOST_ANSWERS: Final = 2  # More candidates have a row of a table each.
 MOST_COLUMNS: Final = 3  # More candidates have no common table of evidence.
 MOST_ROWS: Final = {1: 6, 2: 3, 3: 3}  # Evidence rows on a screen, by the number of candidates.
@@ -171,6 +172,7 @@ def dive_screen(report: Report, page: str) -> list[Part]:
         *([] if report.filters else [line_alone(report)]),
         *_evidence_table(answers, "evidence", "on this dive", starts),
         *_trust_lines(report),
+        *(note.text for note in report.notes if note.code == START_SOURCE),
         *headline_table(report),
         *track_fit_line(report),
         *(() if has_reference(report) else (NO_REFERENCE,)),

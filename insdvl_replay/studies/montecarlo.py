@@ -33,10 +33,11 @@ from insdvl_replay.nav.algebra import rotation_from_vector, vector
 from insdvl_replay.nav.dvl import dvl_velocities
 from insdvl_replay.nav.levelling import Start
 from insdvl_replay.nav.timeline import NO_GAPS
-from insdvl_replay.preparation.alignment import Alignment, initial_sd
+from insdvl_replay.preparation.alignment import Alignment
 from insdvl_replay.preparation.filters import dvl_mounting, prepare_sensors, resolve_filters
 from insdvl_replay.preparation.prepared import Prepared
 from insdvl_replay.preparation.run import prepared_timeline, run_one
+from insdvl_replay.preparation.start_sources import initial_sd
 from insdvl_replay.show.document import table_of
 from insdvl_replay.sim.dive import add_errors, exact_dive, named
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors, ImuErrors

@@ -25,8 +25,20 @@ RUN = '[filters.a]\naiding = ["velocity"]\n[filters.b]\n'
 
 def test_the_default_is_the_papers_setting() -> None:
     config = load_config()
-    assert config == Config() == load_config("levy-klein")
+    assert config == load_config("levy-klein")
+    assert config == msgspec.structs.replace(
+        Config(), initial=msgspec.structs.replace(Config().initial, uncertainty="settings")
+    )
     assert (config.baseline, list(config.filters)) == ("baseline", ["baseline", "aided"])
+
+
+def test_only_the_papers_setting_starts_as_uncertain_as_the_settings(tmp_path: Path) -> None:
+    """Which is named, or the default; a file of a vehicle begins with the defaults."""
+    file = written(tmp_path, "[dvl]\nscale = 1.01\n")
+    assert load_config(overrides=["dvl.scale=1.01"]).initial.uncertainty == "settings"
+    assert load_config("levy-klein", file).initial.uncertainty == "settings"
+    assert load_config(None, file).initial.uncertainty == "source"
+    assert load_config("fog").initial.uncertainty == "source"
 
 
 def test_later_layers_win(tmp_path: Path) -> None:

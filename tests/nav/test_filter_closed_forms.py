@@ -12,6 +12,7 @@ import pytest
 from frames import frames
 
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.states import DEG, DEG_PER_HOUR, MG, MRAD, PHI
 from insdvl_replay.evaluation.convergence import mean_over_nine
 from insdvl_replay.geometry.earth import EARTH_RATE
@@ -28,7 +29,7 @@ N_EFF = (1.0 / N_A**2 + 1.0 / (0.103**2 * 1.0)) ** -0.5  # acceleration of 0.103
 
 @pytest.fixture(scope="module")
 def straight() -> Replay:
-    return replay_dive(exact_dive("straight"), Config())
+    return replay_dive(exact_dive("straight"), load_config("levy-klein"))
 
 
 @pytest.fixture(scope="module")

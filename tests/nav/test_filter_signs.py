@@ -12,11 +12,12 @@ import pandas as pd
 import pytest
 
 from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.states import BA, DEG, MG, MRAD, PHI
 from insdvl_replay.geometry.earth import EARTH_RATE, normal_gravity
 from insdvl_replay.geometry.rotation import mat_from_rpy, skew
-from insdvl_replay.preparation.alignment import initial_sd
+from insdvl_replay.preparation.start_sources import initial_sd
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import exact_dive
 
@@ -83,7 +84,7 @@ def aided_run(told: Model) -> tuple[Floats, Floats]:
 
 @pytest.fixture(scope="module")
 def program_sd() -> Floats:
-    _, aided = replay_dive(exact_dive("straight", duration_s=float(DURATION_S)), Config()).histories
+    _, aided = replay_dive(exact_dive("straight", duration_s=float(DURATION_S)), load_config()).histories
     sd: Floats = aided.sd[-1]
     return sd
 

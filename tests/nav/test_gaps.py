@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from instants import instants
 
-from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Imu, Noise
+from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Imu, Initial, Noise
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, TimeNs, seconds
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BG, DEG, DV, PHI
@@ -19,6 +19,7 @@ from insdvl_replay.sim.dive import START_NS, exact_dive
 SECOND = 1_000_000_000
 GYRO_WHITE = 1e-5
 CONFIG = Config(
+    initial=Initial(uncertainty="settings"),
     noise=Noise(accel_white_mps_rts=2e-3, gyro_white_rad_rts=GYRO_WHITE),
     filters={
         "baseline": Filter(aiding=("velocity",)),

@@ -197,7 +197,10 @@ def test_configured_misalignment_is_the_headings_alone() -> None:
 
 
 def test_velocity_of_the_dvl_errs_as_its_heading_does() -> None:
-    own = Initial(source="level", heading_deg=30.0, latitude_deg=32.8, misalignment_sd_deg=(0.5, 0.5, 10.0))
+    sd_deg = (0.5, 0.5, 10.0)
+    own = Initial(
+        source="level", heading_deg=30.0, latitude_deg=32.8, misalignment_sd_deg=sd_deg, uncertainty="settings"
+    )
     start = levelled(exact("going"), Config(initial=own)).start
     across = np.array([-np.sin(30.0 * DEG), np.cos(30.0 * DEG), 0.0])
     sd_mps = np.sqrt(across @ start.cov[DV, DV] @ across)

@@ -187,7 +187,10 @@ def test_a_heading_in_numbers_goes_before_that_of_the_sensor() -> None:
     expected = mat_from_rpy(np.array([*rpy[0, :2], 123.0 * DEG]))
     np.testing.assert_allclose(prepared.alignment.start.mat_nb, expected, atol=1e-12)
     north_deg, east_deg, down_deg = np.sqrt(np.diagonal(prepared.alignment.start.cov)[PHI]) / DEG
-    assert (north_deg, east_deg, down_deg) == pytest.approx((SD_DEG, SD_DEG, 0.1))
+    # The gyros show the scatter of its noise once more.
+    assert (north_deg, east_deg) == pytest.approx((SD_DEG, SD_DEG), rel=0.3)
+    assert min(north_deg, east_deg) >= SD_DEG
+    assert down_deg == pytest.approx(0.1)
 
 
 @pytest.mark.nightly

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from insdvl_replay.core.dive_columns import (
     Floats,
     ReferenceColumns,
     SolutionColumns,
+    StatedErrors,
     TimeNs,
     distinct,
     find_runs,
@@ -78,7 +79,34 @@ def decode_reference(
             fields = {name: path for name, path in table.source.fields.items() if name != "local_position"}
             tables[i] = replace(table, source=replace(table.source, fields=fields))
     parts = [read_part(table, settings, initial) for table in tables]
-    return (union(parts) if parts else None), [note for cleaner, _ in parts for note in cleaner.notes]
+    if not parts:
+        return None, []
+    stated = [_stated(table, settings, part) for table, part in zip(tables, parts, strict=True)]
+    reference = replace(union(parts), stated=_joined(stated))
+    return reference, [note for cleaner, _ in parts for note in cleaner.notes]
+
+
+def _stated(table: Table, settings: Navigation, part: Part) -> StatedErrors:
+    """Return what the messages of one topic say of the errors of what was read from them."""
+    cleaner, found = part
+    order, rows = rows_among(table.sampled, cleaner.rows, len(table))
+    cov, _ = _covariances(table, table.source.completed(settings), found, order, rows)
+    if "position" not in found:
+        cov[:, DP], cov[:, :, DP] = np.nan, np.nan
+    return StatedErrors(cleaner.times[rows], cov)
+
+
+def _joined(stated: Sequence[StatedErrors]) -> StatedErrors | None:
+    """Join what two topics say, at the times of the first one; None where none says anything."""
+    given = [errors for errors in stated if np.isfinite(errors.cov).any()]
+    if not given:
+        return None
+    first, *others = given
+    cov = first.cov.copy()
+    for other in others:
+        nearest = np.searchsorted(other.time_ns, first.time_ns).clip(0, len(other.time_ns) - 1)
+        cov = np.where(np.isnan(cov), other.cov[nearest], cov)
+    return StatedErrors(first.time_ns, cov)
 
 
 def read_part(table: Table, settings: Navigation, initial: Initial) -> Part:
@@ -297,7 +325,7 @@ def union(parts: Sequence[Part]) -> ReferenceColumns:
     """Join topics on the union of their times; one alone is not copied, and one row stands for what it lacks."""
     if len(parts) == 1:
         [(cleaner, found)] = parts
-        columns = {
+        columns: dict[str, Any] = {
             name: np.ascontiguousarray(found[name]) if name in found else nothing((cleaner.times.size, *shape))
             for name, shape in _SHAPES.items()
         }
@@ -340,7 +368,7 @@ def decode_solution(tables: Sequence[Table], settings: Solution) -> tuple[Soluti
 
 
 def _covariances(
-    table: Table, settings: Solution, found: Mapping[str, Floats], order: TimeNs, rows: TimeNs
+    table: Table, settings: Navigation, found: Mapping[str, Floats], order: TimeNs, rows: TimeNs
 ) -> tuple[Floats, int]:
     """Return the covariance of the sampled rows in n, shape (c, 9, 9), and count matrices that are none.
 
@@ -356,6 +384,13 @@ def _covariances(
         for row, pose_row in blocks:
             for column, pose_column in blocks:
                 cov[:, row, column] = turn_n @ pose[:, pose_row, pose_column] @ turn_n.T
+    if "position_cov" in table:
+        # East, north, up; of the types of covariances, 0 is unknown.
+        position, more = _valid_covariances(table.values("position_cov", 6)[order], 3)
+        wrong += more
+        if "position_cov_type" in table:
+            position[table.column("position_cov_type")[order] == 0.0] = np.nan
+        cov[:, DP, DP] = MAT_ENU_NED @ position @ MAT_ENU_NED.T
     if "twist_cov" in table and "velocity_n" in found:
         twist, more = _valid_covariances(table.values("twist_cov", 6)[order], 3)
         wrong += more

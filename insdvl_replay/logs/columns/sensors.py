@@ -38,7 +38,15 @@ def decode_sensor(name: str, table: Table, config: Config) -> tuple[SensorColumn
     # Of a dive of hours the attitudes take more memory than the IMU's readings.
     wanted = mat_nb is not None and config.initial.source == BY_SENSOR
     kept_mat_nb = cleaner.kept(mat_nb) if wanted and mat_nb is not None else None
-    return SensorColumns(cleaner.times, cleaner.kept(values), kept_mat_nb), cleaner.notes
+    kept_sd = cleaner.kept(_attitude_sd(table)) if wanted and "attitude_var" in table else None
+    return SensorColumns(cleaner.times, cleaner.kept(values), kept_mat_nb, kept_sd), cleaner.notes
+
+
+def _attitude_sd(table: Table) -> Floats:
+    """Return the standard deviations of attitudes, (k, 3), rad; NaN where the messages state none."""
+    variance = table.values("attitude_var", 3)
+    is_stated = (variance > 0.0).all(axis=1, keepdims=True)
+    return np.sqrt(np.where(is_stated, variance, np.nan))
 
 
 def decode_log_topic(table: Table) -> tuple[SensorColumns, list[Note]]:

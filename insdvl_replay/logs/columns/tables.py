@@ -43,7 +43,8 @@ Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 RECORDER_STAMPS: Final = ("log_time", "publish_time")  # stamps that are in no message
-SAMPLED: Final = ("pose_cov", "twist_cov")  # quantities that change slowly, and are large
+# Quantities that change slowly, and are large.
+SAMPLED: Final = ("pose_cov", "twist_cov", "position_cov", "position_cov_type")
 MOST_SAMPLED: Final = 20_000  # so many of their rows are kept, in all 7 MB of an odometry; of more messages, some
 _RATE: Final = re.compile(r"(\d+(?:\.\d+)?(?:e[+-]?\d+)?) ?Hz")  # as a stamp: of the rows of a table
 # As a stamp: a field, and the unit of its numbers.

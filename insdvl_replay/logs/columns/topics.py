@@ -51,22 +51,28 @@ TYPES: Final[dict[str, Types]] = {
 }
 
 
-def _upper_triangle(path: str, size: int) -> str:
-    """Name the upper triangle of the first rows of a covariance of six: a third of what its messages repeat."""
-    return ", ".join(f"{path}[{6 * row + column}]" for row in range(size) for column in range(row, size))
+def _upper_triangle(path: str, size: int, of: int = 6) -> str:
+    """Name the upper triangle of the first rows of a covariance of some: of six, a third of what messages repeat."""
+    return ", ".join(f"{path}[{of * row + column}]" for row in range(size) for column in range(row, size))
 
 
-# Of an onboard solution, whose topic is always named, the covariances are read, too.
+# Of a reference and of an onboard solution the covariances are read, too.
 _POSE_COV: Final = {"pose_cov": _upper_triangle("pose.covariance", 6)}
 _COVARIANCES: Final = {
     "nav_msgs/msg/Odometry": {**_POSE_COV, "twist_cov": _upper_triangle("twist.covariance", 3)},
     "geometry_msgs/msg/PoseWithCovarianceStamped": _POSE_COV,
+    "sensor_msgs/msg/NavSatFix": {
+        "position_cov": _upper_triangle("position_covariance", 3, of=3),
+        "position_cov_type": "position_covariance_type",
+    },
 }
-TYPES["solution"] = {
-    name: msgspec.structs.replace(entry, fields={**entry.fields, **_COVARIANCES.get(name, {})})
-    for group in ("nav_solution", "odometry", "poses", "fix", "onboard", "extended_fix")
-    for name, entry in TYPES[group].items()
-}
+_SOLUTIONS: Final = ("nav_solution", "odometry", "poses", "fix", "onboard", "extended_fix")
+for _group in _SOLUTIONS:
+    TYPES[_group] = {
+        name: msgspec.structs.replace(entry, fields={**entry.fields, **_COVARIANCES.get(name, {})})
+        for name, entry in TYPES[_group].items()
+    }
+TYPES["solution"] = {name: entry for group in _SOLUTIONS for name, entry in TYPES[group].items()}
 
 
 @dataclass(frozen=True)
