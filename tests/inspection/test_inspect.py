@@ -215,7 +215,7 @@ def test_three_clocks_in_one_file() -> None:
 def test_vehicle_that_is_still_contradicts_nobody() -> None:
     still, turning = (inspected(f"stanford_auv/{name}.mcap").notes for name in ("static", "rotation_z_1"))
     assert not [note for note in still if note.code.endswith("_contradiction")]
-    assert [note for note in turning if note.code.endswith("_contradiction")]
+    assert "imu_turned" in {note.code for note in turning}, "its gyros follow the reference with the IMU upside down"
 
 
 def test_log_without_messages() -> None:
