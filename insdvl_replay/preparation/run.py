@@ -39,7 +39,7 @@ from insdvl_replay.nav.dvl import parity_innovations
 from insdvl_replay.nav.filter import run_filter
 from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
 from insdvl_replay.nav.outage import gravity_drift, run_outage
-from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Timeline, build_timeline
+from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Gaps, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, in_outages
@@ -264,6 +264,7 @@ MOST_ROUNDS: Final = 6
 SETTLED_DEG: Final = 0.02
 HEADING_STEP_DEG: Final = 1.0
 LONGEST_SILENCE_S: Final = 5.0  # of the DVL, in which the track goes on as well as before
+SHORTEST_TRACK_S: Final = 30.0  # before a gap of the IMU, that is compared by itself
 BIAS_STEP: Final = 0.2  # in the bias's standard deviation beforehand
 HELD_BIAS_DEGPH: Final = 1.0  # a filter that may move its biases takes errors of beams and accelerometers for a turn
 LEAST_SURE_DEG: Final = 15.0  # a heading that a track gives no better says nothing
@@ -332,7 +333,8 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
             )
             prepared = prepare_dive(dive, changed(config, initial=started))
             histories.append(run_one(prepared.filters[0], prepared, prepared_timeline(dive, prepared)))
-        compared_ns, piece = _tracked(placed.time_ns, prepared.velocities.time_ns)
+        seen_ns = _before_a_gap(placed.time_ns, prepared.gaps)
+        compared_ns, piece = _tracked(seen_ns, prepared.velocities.time_ns)
         time_ns, ours, theirs = np.intersect1d(histories[0].time_ns, compared_ns, return_indices=True)
         piece = piece[theirs]
         theirs = np.searchsorted(placed.time_ns, time_ns)
@@ -356,6 +358,18 @@ def fitted_start(dive: Dive, config: Config) -> FittedStart:
     time_s = np.ptp(placed.time_ns) * 1e-9
     bias_sd = np.hypot(found.bias_sd, config.noise.gyro_bias_walk_radps_rts * np.sqrt(time_s / 3.0))
     return FittedStart(heading_deg, found.heading_sd / DEG, bias_degph, float(bias_sd) / DEG_PER_HOUR)
+
+
+def _before_a_gap(time_ns: TimeNs, gaps: Gaps) -> TimeNs:
+    """Return the times before the first long gap of the IMU, in which nobody saw how the vehicle turned.
+
+    Where they are too few to show a heading, the whole dive is compared: the filter guesses the turn.
+    """
+    if not len(gaps.start_ns):
+        return time_ns
+    before_ns = time_ns[time_ns <= gaps.start_ns[0]]
+    is_enough = len(before_ns) > 1 and before_ns[-1] - before_ns[0] >= nanoseconds(SHORTEST_TRACK_S)
+    return before_ns if is_enough else time_ns
 
 
 def _tracked(time_ns: TimeNs, ping_ns: TimeNs) -> tuple[TimeNs, NDArray[np.int64]]:

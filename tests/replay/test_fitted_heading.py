@@ -15,8 +15,9 @@ from insdvl_replay.core.errors import ConfigError, LogError
 from insdvl_replay.core.states import DEG_PER_HOUR
 from insdvl_replay.evaluation.drift import heading_fit
 from insdvl_replay.logs import write_dive
+from insdvl_replay.nav.timeline import Gaps
 from insdvl_replay.preparation.prepared import with_reference_at_imu
-from insdvl_replay.preparation.run import _tracked, fitted_start
+from insdvl_replay.preparation.run import _before_a_gap, _tracked, fitted_start
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
 from insdvl_replay.sim.sensor_errors import GRADES, DvlErrors
@@ -130,10 +131,19 @@ def test_times_without_dvl_are_in_no_piece() -> None:
     np.testing.assert_array_equal(np.bincount(piece), [45, 25])
 
 
+def test_the_track_behind_a_gap_of_the_imu_does_not_tell_the_heading_at_the_start() -> None:
+    second = np.arange(0, 100, dtype=np.int64) * 1_000_000_000
+    gaps = Gaps(second[60:61], second[64:65], np.zeros((1, 12)))
+    np.testing.assert_array_equal(_before_a_gap(second, gaps), second[:61])
+    np.testing.assert_array_equal(_before_a_gap(second, gaps.where(np.zeros(1, np.bool_))), second)
+    early = Gaps(second[10:11], second[14:15], np.zeros((1, 12)))
+    np.testing.assert_array_equal(_before_a_gap(second, early), second)
+
+
 def test_a_dive_whose_track_reports_no_heading_says_so(truth: Dive) -> None:
     dive = among_positions(truth, 5, 0.0)
     with pytest.raises(LogError, match="start heading"):
-        replay_dive(dive, once("mems", "span.end_s=40"))
+        replay_dive(dive, once("mems", "span.end_s=25"))
     assert dive.reference is not None
     nowhere = replace(dive, reference=replace(dive.reference, position=np.full_like(dive.reference.position, np.nan)))
     level = once("mems", "initial.source=level", "initial.latitude_deg=32.8")
