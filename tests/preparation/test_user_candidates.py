@@ -32,7 +32,7 @@ from insdvl_replay.nav.user_measurement import load_class
 from insdvl_replay.preparation.candidates import history_of_candidate
 from insdvl_replay.preparation.programs import run_as_program
 from insdvl_replay.preparation.solution_files import ATTITUDE, POSITION, VELOCITY, checked_solution, read_solution
-from insdvl_replay.preparation.source_errors import VELOCITY_FLOOR_MPS
+from insdvl_replay.preparation.source_errors import ATTITUDE_FLOOR, VELOCITY_FLOOR_MPS
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import SensorErrors
@@ -145,8 +145,10 @@ def test_a_program_is_given_what_the_filters_get_and_nothing_that_judges_them(
     assert set.union(*absent) <= set(dive.dvl.time_ns[dive.dvl.time_ns > start_ns + 99 * 10**9])
     start = json.loads((tmp_path / "start.json").read_text())
     assert start["time_ns"] == dive.imu.time_ns[0]
-    assert start["velocity_ned_mps_sd"] == [VELOCITY_FLOOR_MPS] * 3  # of a reference without noise
-    assert start["roll_pitch_heading_deg_sd"] == pytest.approx([0.5, 0.5, 0.5])
+    # Of a reference without noise.
+    assert start["velocity_ned_mps_sd"] == [VELOCITY_FLOOR_MPS] * 3
+    level, _, heading = ATTITUDE_FLOOR / DEG
+    assert start["roll_pitch_heading_deg_sd"] == pytest.approx([level, level, heading], rel=0.01)
 
 
 @pytest.mark.parametrize("held_out", [(), ("depth",)])

@@ -36,8 +36,12 @@ def aided(**settings: object) -> Filter:
     return Filter(aiding=("velocity", "acceleration"), acceleration=Acceleration(**settings))  # type: ignore[arg-type]
 
 
+AS_SET = Initial(uncertainty="settings")  # the same for dives whose references differ
+
+
 def config(filters: dict[str, Filter] | None = None, **sections: object) -> Config:
-    return Config(noise=NOISE, filters=filters or {"baseline": VELOCITY, "aided": aided()}, **sections)  # type: ignore[arg-type]
+    chosen = filters or {"baseline": VELOCITY, "aided": aided()}
+    return Config(noise=NOISE, filters=chosen, **{"initial": AS_SET, **sections})  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
