@@ -23,7 +23,7 @@ import numpy as np
 from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.reference import velocity_misfit
 from insdvl_replay.core.config import Config, Imu, Initial, flattened
-from insdvl_replay.core.config_file import toml_value
+from insdvl_replay.core.config_file import load_config, toml_value
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed, visible
@@ -99,8 +99,10 @@ class Given:
     def keys(self) -> list[str]:
         """The keys that are given or not as by default, except for the span and the evaluation."""
         default = dict(flattened(msgspec.to_builtins(Config())))
+        # What a dive without settings is replayed with, which nobody has given either.
+        without = dict(flattened(msgspec.to_builtins(load_config())))
         values = flattened(msgspec.to_builtins(self.config))
-        keys = [key for key, value in values if value != default.get(key) or key in self.named]
+        keys = [key for key, value in values if value not in (default.get(key), without.get(key)) or key in self.named]
         return [key for key in keys if not key.startswith(("span.", "evaluation."))]
 
     def has(self, *names: str) -> bool:

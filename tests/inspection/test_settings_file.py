@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.config_file import given_keys, load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.states import DEG
@@ -283,3 +283,10 @@ def test_file_that_could_not_be_read_back_is_not_put_in_place(
         load_config(overrides=["dvl.scale=-1.0"])
     assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 2
     assert list(tmp_path.iterdir()) == [log]
+
+
+def test_the_start_of_a_dive_without_settings_is_not_given() -> None:
+    """The default preset starts as the settings say, which must not bind a search."""
+    assert Given(load_config()).keys == []
+    as_set = ["initial.uncertainty=settings"]
+    assert Given(load_config(overrides=as_set), given_keys(None, (), as_set)).keys == ["initial.uncertainty"]
