@@ -4,7 +4,6 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 # The tests start hundreds of processes, so byte code is kept, also where the environment asks for none.
-export PYTHONPYCACHEPREFIX := $(CURDIR)/.venv/pycache
 unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap

@@ -171,10 +171,10 @@ def dockerfile() -> list[tuple[str, str]]:
 
 def test_the_container_file_is_in_order() -> None:
     found = dockerfile()
-    words = ["ARG", "FROM", "ENV", "COPY", "RUN", "COPY", "COPY", "RUN", "WORKDIR", "ENTRYPOINT", "CMD"]
+    words = ["ARG", "FROM", "ENV", "COPY", "RUN", "COPY", "COPY", "RUN", "RUN", "USER", "WORKDIR", "ENTRYPOINT", "CMD"]
     assert [word for word, _ in found] == words
     assert re.fullmatch(r"BASE=python:3\.\d+-slim", found[0][1])
-    assert json.loads(dict(found)["ENTRYPOINT"]) == ["python", "-m", "insdvl_replay"]
+    assert json.loads(dict(found)["ENTRYPOINT"]) == ["python", "-P", "-m", "insdvl_replay"]
 
 
 @pytest.mark.nightly
@@ -184,8 +184,10 @@ def test_steps_of_the_image_run_where_there_is_nothing_but_the_package(tmp_path:
         source, target = what.split()
         shutil.copytree(EXAMPLES.parent / source, tmp_path / Path(target).relative_to("/opt/insdvl-replay"))
     inside = os.environ | {"PYTHONPATH": str(tmp_path), "INSDVL_REPLAY_CACHE": str(tmp_path / "opt")}
-    installs, compiles = (text for word, text in dockerfile() if word == "RUN")
+    installs, compiles, adds_user = (text for word, text in dockerfile() if word == "RUN")
     assert installs.startswith("pip install --require-hashes ")
+    assert adds_user.startswith("useradd ")
+    compiles = compiles.partition(" && chmod ")[0]
     for words, said in ((compiles.split(), "compiled in"), (["python", "-m", "insdvl_replay", "--help"], "Usage: ")):
         command = [sys.executable, *words[1:]]
         done = subprocess.run(command, cwd=tmp_path, env=inside, capture_output=True, text=True, check=True)

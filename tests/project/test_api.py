@@ -42,7 +42,7 @@ def is_whole(result: CommandResult, tables: set[str], place: Path) -> None:
 
 def test_inspect(tmp_path: Path) -> None:
     found = insdvl_replay.inspect(ARCHIVE / "dives" / "transit.mcap", deep=True)
-    is_whole(found, {"file", "topics", "roles", "clocks", "pings", "reference"}, tmp_path / "saved")
+    is_whole(found, {"file", "topics", "roles", "clocks", "pings", "reference", "notes"}, tmp_path / "saved")
     assert set(found.tables["roles"]["role"]) >= {"imu", "dvl", "reference"}
 
 

@@ -211,7 +211,7 @@ def test_it_needs_pyarrow_and_says_so_before_any_work(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert "--lake needs pyarrow; hint: pip install pyarrow" in refused(["--lake", "lake"], capsys)
+    assert "--lake needs pyarrow; hint: pip install 'pyarrow>=17'" in refused(["--lake", "lake"], capsys)
     assert not Path("lake").exists()
 
 
