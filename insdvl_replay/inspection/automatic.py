@@ -136,8 +136,11 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
 def _first_with_roles(
     dives: Sequence[Paths], given: Given, notes: list[Note], *, allow_damaged: bool
 ) -> tuple[Paths, Config, float]:
-    """Find the roles by the first dive that shows them, short ones last; the cost of its trial is returned, too."""
-    failures: list[UserError] = []
+    """Find the roles by the first dive that shows them, short ones last; the cost of its trial is returned, too.
+
+    If none shows them, the error is that of the first dive as they are given, whose result it becomes.
+    """
+    failures: dict[Path, UserError] = {}
     for paths in sorted(dives, key=_is_short):
         found: list[Note] = []
         try:
@@ -145,11 +148,11 @@ def _first_with_roles(
             raise_if_span_is_empty(readings.place, readings.imus[0].columns, given.config.span)
             config, cost = with_roles(readings, given, found)
         except UserError as error:
-            failures.append(error)
+            failures[paths[0]] = error
             continue
         notes += found
         return paths, _with_latitude(_as_given(config, given), readings.reference, notes), cost
-    raise failures[0]
+    raise failures[dives[0][0]]
 
 
 def _is_short(paths: Paths) -> bool:
