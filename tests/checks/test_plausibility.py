@@ -24,6 +24,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 DATA = PROJECT.parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="needs ../shared/data (real logs)")
 Change = Callable[[ImuColumns], ImuColumns]
+IGNORE = "; if the reference is wrong: reference.ignore = true"
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +55,12 @@ def notes_of(dive: Dive, config: Config | None = None) -> dict[str, Note]:
 def changed(dive: Dive, force: float = 1.0, rate: float = 1.0) -> Dive:
     imu = dive.imu
     return replace(dive, imu=ImuColumns(imu.time_ns, force * imu.specific_force_b, rate * imu.angular_rate_b))
+
+
+def hinted_scale(hint: str) -> float:
+    """Return the scale of the gyros in a hint that also says what to do if the reference is the one that errs."""
+    assert hint.endswith(IGNORE)
+    return float(hint.removeprefix("imu.angular_rate_scale = ").removesuffix(IGNORE))
 
 
 def heading_at_start(dive: Dive) -> float:
@@ -225,10 +232,16 @@ def test_gyros_in_deg_per_s_are_refused(whose: str, turning: Dive) -> None:
     dive = changed(turning if whose == "attitude" else positions_only(turning), rate=1.0 / DEG)
     with pytest.raises(LogError, match=f"angular rate .* {whose}") as refusal:
         notes_of(dive)
-    assert refusal.value.hint == 'imu.angular_rate_unit = "deg/s"'
+    assert refusal.value.hint == f'imu.angular_rate_unit = "deg/s"{IGNORE}'
     with pytest.raises(LogError) as opposite:
+        notes_of(changed(turning, rate=DEG), Config(imu=Imu(angular_rate_unit="deg/s")))
+    assert opposite.value.hint == f'imu.angular_rate_unit = "rad/s"{IGNORE}'
+
+
+def test_a_unit_that_is_set_already_is_not_hinted(turning: Dive) -> None:
+    with pytest.raises(LogError) as refusal:
         notes_of(changed(turning, rate=DEG))
-    assert opposite.value.hint == 'imu.angular_rate_unit = "rad/s"'
+    assert hinted_scale(refusal.value.hint) == pytest.approx(DEG, rel=0.03)
 
 
 @pytest.mark.parametrize("whose", ["attitude", "positions"])
@@ -236,7 +249,7 @@ def test_gyros_of_another_scale_are_reported_with_it(whose: str, turning: Dive) 
     dive = changed(turning if whose == "attitude" else positions_only(turning), rate=0.6)
     note = notes_of(dive, Config(imu=Imu(angular_rate_scale=2.0)))["imu_gyro_scale"]
     assert note.severity == "warning"
-    assert float(note.hint.removeprefix("imu.angular_rate_scale = ")) == pytest.approx(1.2, rel=0.03)
+    assert hinted_scale(note.hint) == pytest.approx(1.2, rel=0.03)
 
 
 def test_gyros_that_turn_the_other_way_are_reported(turning: Dive) -> None:
@@ -478,7 +491,7 @@ def test_real_gyro_scale_fault_is_found_from_positions_alone() -> None:
     assert refusal.value.hint == 'imu.specific_force_unit = "m/s2"'
     dive, _ = blueye("grid_gyro_scale_wrong", "imu.specific_force_unit=m/s2")
     note = {note.code: note for note in dive.notes}["imu_gyro_scale"]
-    assert float(note.hint.removeprefix("imu.angular_rate_scale = ")) == pytest.approx(1.0 / 1.6645, rel=0.02)
+    assert hinted_scale(note.hint) == pytest.approx(1.0 / 1.6645, rel=0.02)
     by_gravity = gyro_by_gravity(dive.imu)
     assert by_gravity is not None
     assert by_gravity < 1.0 / 1.7, "found without any reference too"

@@ -133,9 +133,7 @@ def test_axes_that_are_none_are_refused() -> None:
 
 
 def test_units_and_axes_of_the_imu(log: Any) -> None:
-    path = log(
-        [imu(0.0, (0.0, 0.1, 1.0), (0.0, 90.0, 0.0)), imu(0.1, (0.0, 0.1, 1.0), (0.0, 90.0, 0.0)), *good()[100:]]
-    )
+    path = log([imu(0.1 * i, (0.0, 0.1, 1.0), (0.0, 90.0, 0.0)) for i in range(15)] + good()[100:])
     settings = Imu(specific_force_unit="g", angular_rate_unit="deg/s", axes="flu")
     dive = read_dive(path, Config(imu=settings))
     np.testing.assert_allclose(dive.imu.specific_force_b[0], [0.0, -0.980665, -9.80665], rtol=1e-15)
@@ -183,7 +181,7 @@ def test_covariance_of_minus_one_means_not_measured(log: Any) -> None:
 
 
 def test_upside_down_imu_is_noticed(log: Any) -> None:
-    path = log([imu(0.01 * i, (0.0, 0.0, 9.8)) for i in range(5)] + good()[100:])
+    path = log([imu(0.01 * i, (0.0, 0.0, 9.8)) for i in range(150)] + good()[100:])
     assert "imu_upside_down" in counts(read_checked_dive(path, Config()))
     assert "imu_upside_down" not in counts(read_checked_dive(path, Config(imu=Imu(axes="flu"))))
 

@@ -437,7 +437,7 @@ def _held(fixes: Floats) -> Floats:
     ("sensor", "misread", "told"),
     [
         ("depth", lambda depth_m: depth_m / FOOT_M, ["depth_contradiction", "depth_disagrees"]),
-        ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees"]),
+        ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees", "not_evaluated"]),
         ("heading", np.deg2rad, ["heading_contradiction", "heading_disagrees", "heading_slow_error"]),
         (
             "heading",
