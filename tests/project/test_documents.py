@@ -150,7 +150,6 @@ def test_every_module_of_the_mathematics_has_an_equation() -> None:
     # They hand settings, gaps, readings and states to the mathematics, a start to the filter, results to the history.
     without = {
         "preparation.plugins",
-        "preparation.start_sources",
         "preparation.notes",
         "preparation.filters",
         "preparation.solutions",
