@@ -121,11 +121,21 @@ def test_a_spike_at_the_very_start_is_found(clean: Dive, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("grade", ["fog", "mems"])
 def test_levels_that_took_part_of_the_error_over_are_opened_too(grade: str) -> None:
-    """A jump before the first ping finds levels and biases as unsure as the velocity, and they share it."""
+    """A jump before the first ping finds levels and biases as unsure as the velocity, and they share it.
+
+    The levels of a reference without noise are surer, so that such a start loses fewer pings.
+    """
     dive = with_force(simulate_dive("straight", seed=3, duration_s=120.0, grade=grade), [0], 300.0)
-    (velocity,) = replay_dive(dive, load_config(grade)).histories[0].innovations
+    unsure, sure = (
+        replay_dive(dive, load_config(grade, None, [f"initial.uncertainty={of}"])) for of in ("settings", "source")
+    )
+    (velocity,) = unsure.histories[0].innovations
     assert 1 < velocity.reopened.sum() <= 3
     assert (~velocity.used).sum() <= 12
+    (with_source,) = sure.histories[0].innovations
+    assert 1 <= with_source.reopened.sum() <= 3
+    assert (~with_source.used).sum() <= (~velocity.used).sum()
+    assert with_source.used[-60:].all()
     assert velocity.used[-60:].all()
 
 

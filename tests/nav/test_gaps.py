@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from instants import instants
@@ -56,11 +57,7 @@ def silent(dive: Dive, from_s: float, to_s: float, *, pings_too: bool = False) -
 
 
 def with_imu(**settings: object) -> Config:
-    return replace_imu(CONFIG, Imu(**settings))  # type: ignore[arg-type]
-
-
-def replace_imu(config: Config, imu: Imu) -> Config:
-    return Config(imu=imu, noise=config.noise, filters=config.filters)
+    return msgspec.structs.replace(CONFIG, imu=Imu(**settings))  # type: ignore[arg-type]
 
 
 def note(replay: Replay, code: str) -> Note:

@@ -127,7 +127,8 @@ def test_settings_that_differ_from_the_defaults_are_by_themselves() -> None:
     config = msgspec.to_builtins(load_config(overrides=["dvl.scale=1.01", "filters.aided.acceleration.window=5"]))
     heading, *changed = changed_settings(config).split("\n")
     assert heading.startswith("# ")
-    assert changed == ["dvl.scale = 1.01", "filters.aided.acceleration.window = 5"]
+    of_preset = 'initial.uncertainty = "settings"'
+    assert changed == ["dvl.scale = 1.01", of_preset, "filters.aided.acceleration.window = 5"]
 
 
 def test_turns_and_silence_of_the_dvl_are_shaded_behind_every_panel_over_time(tmp_path: Path) -> None:
