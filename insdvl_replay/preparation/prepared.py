@@ -241,9 +241,9 @@ def raise_if_span_is_empty(name: str, imu: ImuColumns, span: Span) -> None:
         return
     text = f"there is nothing between --start {start_s:g} s and --end {end_s:g} s"
     if start_s >= duration_s:
-        text = f"--start {start_s:g} s is after the end"
+        text = f"--start {start_s:g} s is {'after' if start_s > duration_s else 'at'} the end"
     elif end_s <= 0.0:
-        text = f"--end {end_s:g} s is before the start"
+        text = f"--end {end_s:g} s is {'before' if end_s < 0.0 else 'at'} the start"
     hint = "--start and --end count seconds from the first IMU sample"
     raise LogError(f"{name}: {text}; the IMU covers 0 to {duration_s:.1f} s", hint)
 
