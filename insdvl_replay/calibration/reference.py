@@ -130,10 +130,11 @@ class ReferenceDive:
         )
         if self.gives_start:
             # Use the attitude of the moved reference. With another heading the Earth rate would be in other axes,
-            # which a good filter takes for tilt and velocity.
+            # which a good filter takes for tilt and velocity. The start is uncertain by its mounting and delay, too,
+            # which are looked for here. Its own scatter, which may be much smaller, does not show them.
             late = mat_from_vector(at_time(imu.time_ns, imu.angular_rate_b, alignment.start_ns) * shared[CLOCK])
             mat_nb = alignment.start.mat_nb @ late @ mat_from_vector(-shared[REFERENCE_MOUNTING])
-            alignment = replace(alignment, start=replace(alignment.start, mat_nb=mat_nb))
+            alignment = replace(alignment, start=replace(alignment.spread_start, mat_nb=mat_nb))
         mounting = moved_mounting(prepared.mounting, change)
         moved = replace(prepared, velocities=pings, mounting=mounting, alignment=alignment)
         return run_one(self.asked.filter, moved, timeline)
