@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as changed
 
-from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Initial, Position
+from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Position
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
 from insdvl_replay.core.tables import EvidenceRow
@@ -99,7 +99,7 @@ def test_track_has_the_numbers_of_the_reference_errors_and_of_the_distance(good:
 @pytest.mark.all_starts
 def test_bad_fixes_are_worse_or_not_evaluated_and_their_nis_is_reported(exact: Dive) -> None:
     """Of filters that start as uncertain as the settings say: bad fixes hardly move one that knows its start."""
-    config = changed(FOG, initial=Initial(uncertainty="settings"))
+    config = changed(FOG, initial=changed(FOG.initial, uncertainty="settings"))
     replays = [replay_dive(survey(exact, config, seed, bad_share=0.2), config) for seed in range(2)]
     for replay in replays:
         assert (evidence(replay)["position"].ratio or 0.0) > 1.5
