@@ -40,7 +40,7 @@ FLU: Final = np.diag([1.0, -1.0, -1.0])
 NED_TO_ENU: Final = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 G_MPS2: Final = 9.80665
 LARGEST_OFF_DEG: Final = 1.0
-HEADING = "# Mountings of unknown vehicles"
+HEADING = "# Mountings of unknown vehicles: seeds"
 COLUMNS = ("seed", "vehicle", "s", "mounting off, deg", "heading off, deg", "said", "is")
 
 _SEPARATOR = "\n" + "=" * 80 + "\n"
@@ -224,7 +224,7 @@ class Found:
         is_off = self.heading_off_deg > max(LARGEST_OFF_DEG, 3.0 * self.heading_sd_deg)
         if not (is_turned or is_off):
             return "right"
-        return "doubted" if "found_dvl" in self.doubts else "WRONG"
+        return "doubted" if {"found_dvl", "found_forward"} & {*self.doubts} else "WRONG"
 
 
 def judged(log: Path, dive: Dive, vehicle: Vehicle) -> Found:
@@ -293,7 +293,8 @@ def main() -> None:
     summary = ", ".join(f"{verdicts.count(word)} {word}" for word in ("right", "doubted", "refused", "WRONG"))
     sys.stdout.write(f"{summary} of {len(verdicts)}\n")
     if asked.write:
-        lines = [HEADING, "", f"{summary} of {len(verdicts)} simulated vehicles ({machine()}).", ""]
+        heading = f"{HEADING} {asked.seed} to {asked.seed + asked.count - 1}"
+        lines = [heading, "", f"{summary} of {len(verdicts)} simulated vehicles ({machine()}).", ""]
         write_part("\n".join([*lines, *table(COLUMNS, rows)]))
 
 

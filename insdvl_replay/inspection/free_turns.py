@@ -129,11 +129,12 @@ def _free_turn(trials: Trials, relation: object, pings: DvlColumns) -> FreeTurn 
 # --- The IMU in the body.
 
 
-def in_body(best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool) -> Hypothesis:
+def in_body(best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool) -> tuple[Hypothesis, Hypothesis | None]:
     """Return a hypothesis in the axes of the vehicle: those of the reference's attitude, else level and forward.
 
-    IMU and DVL turn together, so that they fit each other as before. The dive has its readings in the axes of the
-    instruments, and the settings are those with which it was read.
+    Where the axes are as read, but the vehicle travels sideways in them, the other axes are returned, too: only a
+    person knows which of both is forward. IMU and DVL turn together, so that they fit each other as before. The dive
+    has its readings in the axes of the instruments, and the settings are those with which it was read.
     """
     own = msgspec.structs.replace(config.dvl, mounting_rpy_deg=best.rpy_deg)
     config = msgspec.structs.replace(config, dvl=own)
@@ -141,12 +142,20 @@ def in_body(best: Hypothesis, dive: Dive, config: Config, *, is_as_read: bool) -
     if dive.reference is not None:
         turn = turn_to_reference(imu, dive.reference, velocity_pairs(dive.dvl, dive.reference, config))
         if turn is not None:
-            return best if angle_between(turn, np.eye(3)) < TURNED_RAD else best.with_body_turned(turn)
+            in_reference = best if angle_between(turn, np.eye(3)) < TURNED_RAD else best.with_body_turned(turn)
+            return in_reference, None
     level = _turn_of_axis(down_of(imu), _DOWN)
     if angle_between(level, np.eye(3)) > TILTED_RAD:
         best = best.with_body_turned(level)
-    quarters = 0 if is_as_read else _quarters_to_travel(best, dive, config)
-    return turned_about_down(best, quarters) if quarters else best
+    quarters = _quarters_to_travel(best, dive, config)
+    if not quarters:
+        return best, None
+    travelling = turned_about_down(best, quarters)
+    if not is_as_read:
+        return travelling, None
+    # Two instruments whose axes agree about forward are believed against the travel: the vehicle may sway.
+    agree = angle_between(mat_from_rpy(np.array(best.rpy_deg) * DEG), np.eye(3)) < NEAR_QUARTER_RAD
+    return (best, travelling) if agree else (travelling, best)
 
 
 def _turn_of_axis(axis: Floats, target: Floats) -> Floats:

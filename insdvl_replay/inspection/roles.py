@@ -282,7 +282,8 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     others = _rivals_of(best, trials.close)
     chosen = best
     if not given.has(*BODY_KEYS):
-        best = in_body(best, dive, draft, is_as_read=best.axes == imu.as_read.axes)
+        best, sideways = in_body(best, dive, draft, is_as_read=best.axes == imu.as_read.axes)
+        notes += [] if sideways is None else [_forward_note(best, sideways)]
     alike = {one.rpy_deg[2] for one in trials.close if (one.axes, one.force_axes) == (chosen.axes, chosen.force_axes)}
     if alike >= QUARTERS_DEG and not given.has("dvl.mounting_rpy_deg"):
         raise LogError(
@@ -467,6 +468,22 @@ def _role_notes(
         fitting = " or ".join(map(_rpy, sorted(apart)))
         text = f"the mounting of DVL {dvl_topic} cannot be determined: {_rpy(best.rpy_deg)} deg is used, {fitting} fits"
     yield found_note("found_dvl", text, "to change it: dvl.mounting_rpy_deg", warn=bool(apart))
+
+
+def _forward_note(best: Hypothesis, other: Hypothesis) -> Note:
+    """Report axes in which a vehicle goes forward or sideways, since the log has no attitude that decides."""
+    text = (
+        f"the vehicle's forward axis cannot be determined: {_built_in(best)} is used, and {_built_in(other)} fits; "
+        "in one of them the vehicle travels forward, in the other one all the time sideways or backward"
+    )
+    hint = "look how the IMU is built in, and set imu.axes and dvl.mounting_rpy_deg"
+    return found_note("found_forward", text, hint, warn=True)
+
+
+def _built_in(one: Hypothesis) -> str:
+    """Return the settings of a hypothesis that say how IMU and DVL are built in."""
+    imu_rpy = f", imu.mounting_rpy_deg = {_rpy(one.imu_rpy_deg)}" if any(one.imu_rpy_deg) else ""
+    return f'imu.axes = "{one.axes}"{imu_rpy} with dvl.mounting_rpy_deg = {_rpy(one.rpy_deg)}'
 
 
 def _rpy(rpy_deg: Sequence[float]) -> str:

@@ -8,13 +8,13 @@ import pytest
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive, ImuColumns
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import solve_beams
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
 from insdvl_replay.inspection.proposal import Given
-from insdvl_replay.inspection.trials import Hypothesis, Trials, thinned, trial_config
+from insdvl_replay.inspection.trials import Hypothesis, Trials, rpy_of, thinned, trial_config
 from insdvl_replay.sim.dive import simulate_dive
 
 ONE_DEG = 1.0 * DEG
@@ -42,7 +42,8 @@ def oblique(dvl_rpy_deg: tuple[float, float, float], imu_rpy_deg: tuple[float, f
 def found_in(dive: Dive, given: Given) -> tuple[Hypothesis, Trials]:
     trials = Trials(thinned(dive), trial_config(Config(), 32.8), Hypothesis(), given)
     turn_freely(trials, dive.dvl)
-    return in_body(trials.found[0], dive, Config(), is_as_read=True), trials
+    found, _ = in_body(trials.found[0], dive, Config(), is_as_read=True)
+    return found, trials
 
 
 @pytest.mark.parametrize(
@@ -66,3 +67,29 @@ def test_mounting_that_is_given_is_kept_and_tried() -> None:
     assert np.isfinite(trials.cost)
     assert found.rpy_deg == (0.0, 0.0, 135.0)
     assert found.axes == "frd"
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "dvl_deg", "used_deg", "other_deg"),
+    [(0.0, 40.0, 0.0, None), (90.0, 40.0, 90.0, 0.0), (180.0, 40.0, 180.0, 0.0), (90.0, 90.0, 0.0, 90.0)],
+)  # fmt: skip
+def test_body_of_an_imu_as_read_is_forward_where_only_the_dvl_shows_travel(
+    yaw_deg: float, dvl_deg: float, used_deg: float, other_deg: float | None
+) -> None:
+    """An IMU that is yawed by quarters is turned to the travel; one whose DVL agrees about forward is not."""
+    rng = np.random.default_rng(1)
+    time_ns = np.arange(200, dtype=np.int64) * 10**8
+    force_b = np.array([0.0, 0.0, -9.8]) + rng.normal(0.0, 0.1, (200, 3))
+    velocity_b = np.array([1.0, 0.0, 0.0]) + rng.normal(0.0, 0.2, (200, 3))
+    yaw, dvl = mat(0.0, 0.0, yaw_deg), mat(0.0, 0.0, dvl_deg)  # into the axes of the body
+    dive = Dive(
+        "", ImuColumns(time_ns, force_b @ yaw, rng.normal(0.0, 0.1, (200, 3))),
+        DvlColumns(time_ns, velocity_d=velocity_b @ dvl),
+    )  # fmt: skip
+    as_read = Hypothesis(rpy_deg=rpy_of(yaw.T @ dvl))
+    found, other = in_body(as_read, dive, Config(), is_as_read=True)
+    assert angle_between(found.gyro_turn, mat(0.0, 0.0, used_deg)) < 1e-9
+    assert angle_between(mat(*found.rpy_deg), mat(0.0, 0.0, used_deg) @ yaw.T @ dvl) < 1e-9
+    assert (other is None) == (other_deg is None)
+    if other is not None and other_deg is not None:
+        assert angle_between(other.gyro_turn, mat(0.0, 0.0, other_deg)) < 1e-9
