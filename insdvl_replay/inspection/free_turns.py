@@ -35,6 +35,7 @@ from insdvl_replay.inspection.trials import Hypothesis, Trials, rpy_of, turned_a
 
 APART_RAD: Final = 10.0 * DEG  # alternatives that are nearer are one answer
 MOST_OTHERS: Final = 3  # relations of axes and scale that are fitted beside the best
+NO_WORSE: Final = 1.1  # ratio of costs that the delay and the coarse noise of trials make, whatever is true
 TILTED_RAD: Final = 10.0 * DEG  # from which gravity shows an IMU that is built in obliquely; trim of a vehicle is less
 TURNED_RAD: Final = 3.0 * DEG  # from which the reference's attitude shows it
 LEAST_SHARE: Final = 0.8  # of the mean velocity in the mean speed, of a vehicle that goes one way
@@ -110,7 +111,9 @@ def turn_freely(trials: Trials, pings: DvlColumns) -> FreeTurn | None:
     similar = [free for free in fits if free.fit.cost < CLEARLY * least]
     free = next((free for free in similar if free.first.relation == trials.as_read.relation), similar[0])
     turned = with_cost(replace(free.first, rpy_deg=rpy_of(free.mat)), trials.dive, trials.config)
-    if turned.cost < trials.cost:
+    # What excludes a quarter turn of the same IMU on windows of its own needs no trial that is better, too.
+    most = NO_WORSE * trials.cost if free is own else trials.cost
+    if turned.cost < most:
         trials.found = [turned]
     return free
 
