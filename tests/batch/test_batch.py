@@ -94,8 +94,10 @@ def cluster() -> Iterator[tuple[str, subprocess.Popen[str]]]:
 
 
 def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder, which may have code of the user's: it is imported from there if somebody says so."""
     command = [*TOOL, "run", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300, check=False)
+    environment = os.environ | {"PYTHONPATH": str(cwd)}
+    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
 
 def bytes_of(output: Path) -> dict[str, bytes]:

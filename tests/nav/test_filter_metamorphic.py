@@ -9,7 +9,7 @@ import pytest
 from frames import frame
 from scipy.spatial.transform import Rotation
 
-from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Vector
+from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter, Initial, Vector
 from insdvl_replay.core.dive_columns import Dive, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import BA, BG, DEG, DV, PHI
@@ -19,7 +19,9 @@ from insdvl_replay.sim.dive import exact_dive, simulate_dive
 
 LEVER_ARM_M: Vector = (-1.8, 0.3, 0.5)
 MOUNTING_RPY_DEG: Vector = (3.0, -2.0, 45.0)
-CONFIG = Config(dvl=Dvl(lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG))
+CONFIG = Config(
+    dvl=Dvl(lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG), initial=Initial(uncertainty="settings")
+)
 simulate = partial(simulate_dive, lever_arm_m=LEVER_ARM_M, mounting_rpy_deg=MOUNTING_RPY_DEG)
 
 
@@ -92,7 +94,8 @@ def renamed(dive: Dive, mat: Floats) -> tuple[Dive, Config]:
     mounting = mat @ Rotation.from_euler("xyz", MOUNTING_RPY_DEG, degrees=True).as_matrix()
     x, y, z = mat @ LEVER_ARM_M
     roll, pitch, heading = rpy_from_mat(mounting) / DEG
-    config = Config(dvl=Dvl(lever_arm_m=(x, y, z), mounting_rpy_deg=(roll, pitch, heading)))
+    dvl = Dvl(lever_arm_m=(x, y, z), mounting_rpy_deg=(roll, pitch, heading))
+    config = Config(dvl=dvl, initial=CONFIG.initial)
     return replace(dive, imu=imu, reference=replace(reference, mat_nb=reference.mat_nb @ mat.T)), config
 
 

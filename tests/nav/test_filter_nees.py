@@ -35,7 +35,7 @@ DVL_ERRORS = DvlErrors(beam_sd_mps=BEAM_SD_MPS, beam_bias_sd_mps=0.0, beam_scale
 AIDED = partial(Filter, aiding=("velocity", "acceleration"))
 CONFIG = Config(
     noise=Noise(**DENSITIES),
-    initial=Initial(velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0),
+    initial=Initial(uncertainty="settings", velocity_sd_mps=0.1, accel_bias_sd_mg=3.0, gyro_bias_sd_degph=10.0),
     dvl=Dvl(beam_sd_mps=BEAM_SD_MPS),
     filters={
         "baseline": Filter(aiding=("velocity",)),

@@ -26,6 +26,7 @@ def test_fifteen_states_predict_what_those_of_python_ins_predict(scenario: str, 
     settings = case.config(
         filters={"aided": aided},
         initial=Initial(
+            uncertainty="settings",
             velocity_sd_mps=INITIAL.velocity_sd_mps,
             accel_bias_sd_mg=INITIAL.accel_bias_sd_mg,
             gyro_bias_sd_degph=INITIAL.gyro_bias_sd_degph,
