@@ -13,7 +13,7 @@ SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
 
-# At most five minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
+# Seven minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
 test: .venv/test.stamp
 	$(BIN)/insdvl-replay compile
 	@$(MAKE) --no-print-directory lint > .venv/lint.log 2>&1 & lint=$$!; \

@@ -28,6 +28,9 @@ from insdvl_replay.sim.dive import simulate_dive
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 
+# Noise that a dive cannot determine is that of the class of its IMU, which is wider than most sensors.
+AS_GOOD_AS_SAID = (Consistency.CONSISTENT, Consistency.CONSERVATIVE)
+
 
 def proposed(log: Path, *overrides: str) -> SettingsFile:
     return settings_file([[log]], Given(load_config(overrides=overrides)))
@@ -62,7 +65,7 @@ def test_two_commands_lead_from_an_unknown_log_to_a_consistent_replay(
     assert run_command_line(["inspect", str(log), "--propose", str(file), *typed_in]) == 0
     assert load_config(file=file).dvl.mounting_rpy_deg == pytest.approx(mounting_rpy_deg, abs=3.0)
     assert run_command_line(["run", str(log), "-c", str(file), "-o", str(out)]) == 0
-    assert word(out / log.stem / "report.json") == Consistency.CONSISTENT
+    assert word(out / log.stem / "report.json") in AS_GOOD_AS_SAID
 
 
 def real(name: str) -> Path:
@@ -97,7 +100,7 @@ def test_two_commands_lead_to_a_consistent_replay_whatever_the_sensors(
     assert run_command_line(["simulate", "calibration", "--imu", grade, "--seed", seed, "-o", str(log), *put_in]) == 0
     assert run_command_line(["inspect", str(log), "--propose", str(file)]) == 0
     assert run_command_line(["run", str(log), "-c", str(file), "-o", str(out), "--starts", "1"]) == 0
-    assert word(out / "dive" / "report.json") == Consistency.CONSISTENT
+    assert word(out / "dive" / "report.json") in AS_GOOD_AS_SAID
 
 
 @pytest.mark.nightly
