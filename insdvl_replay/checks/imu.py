@@ -70,6 +70,23 @@ def length_refusal(place: str, imu: ImuColumns) -> LogError | None:
     return refusal("imu_too_short", place, samples=counted(len(imu.time_ns), "sample"), span_s=span_s)
 
 
+def rate_remark(place: str, imu: ImuColumns, settings: Imu) -> Remark | None:
+    """Refuse an IMU whose rate cannot be or is too low, and warn of a low one; None where the rate is usual."""
+    count = len(imu.time_ns)
+    steps_ns = np.diff(imu.time_ns)
+    short_ns = steps_ns[steps_ns <= nanoseconds(settings.max_gap_s)]
+    if len(short_ns) < ENOUGH:
+        return None
+    rate_hz = NS_PER_S / float(short_ns.mean())
+    if rate_hz > FASTEST_HZ:
+        return refusal("imu_too_fast", place, rate_hz=rate_hz, count=count, span_s=since_s(imu.time_ns, -1))
+    if rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
+        return refusal("imu_too_slow", place, rate_hz=rate_hz, least_hz=np.floor(rate_hz))
+    if rate_hz < 40.0:  # a vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it
+        return warning("imu_slow", count, rate_hz=rate_hz)
+    return None
+
+
 def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None, settings: Imu) -> Iterator[Remark]:
     """Check the readings of an IMU."""
     count, span_s = len(imu.time_ns), since_s(imu.time_ns, -1)
@@ -78,16 +95,9 @@ def imu_remarks(place: str, imu: ImuColumns, reference: ReferenceColumns | None,
     if turning_radps > SPIN_RADPS and span_s > _LEAST_S:
         yield refusal("imu_spinning", place, turning_radps=turning_radps, turning_degps=turning_radps / DEG)
 
-    # The rate.
-    steps_ns = np.diff(imu.time_ns)
-    short_ns = steps_ns[steps_ns <= nanoseconds(settings.max_gap_s)]
-    rate_hz = NS_PER_S / float(short_ns.mean()) if len(short_ns) >= ENOUGH else np.inf
-    if np.isfinite(rate_hz) and rate_hz > FASTEST_HZ:
-        yield refusal("imu_too_fast", place, rate_hz=rate_hz, count=count, span_s=span_s)
-    elif rate_hz < 0.95 * settings.min_rate_hz:  # what an IMU holds of its nominal rate
-        yield refusal("imu_too_slow", place, rate_hz=rate_hz, least_hz=np.floor(rate_hz))
-    elif rate_hz < 40.0:  # a vehicle rolls and surges at 1 to 2 Hz; slower samples miss part of it
-        yield warning("imu_slow", count, rate_hz=rate_hz)
+    unusual_rate = rate_remark(place, imu, settings)
+    if unusual_rate is not None:
+        yield unusual_rate
 
     # Axes that never change: none of a vehicle in water is constant to the last bit for ten seconds.
     by_name = {"specific_force": ("m/s^2", imu.specific_force_b), "angular_rate": ("rad/s", imu.angular_rate_b)}

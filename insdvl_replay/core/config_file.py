@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from enum import EnumMeta
 from functools import reduce
 from importlib import resources
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -318,19 +317,30 @@ def load_config(
         *(_parse_override("--set", override) for override in overrides),
         *(_parse_override("--against", override) for override in against),
     ]
-    try:  # a valid filter may need two of them together
+    config = _changed(settings, changes)
+    _require_possible(config, [*layers, *changes], allow_code=allow_code)
+    return _with_digests(config)
+
+
+def _changed(settings: Any, changes: Sequence[TomlSource]) -> Config:
+    """Apply changes together, since a valid filter may need two of them."""
+    try:
         whole = reduce(_overridden, changes, settings)
-        config = _resolved(whole, TomlSource("the configuration"))
+        return _resolved(whole, TomlSource("the configuration"))
     except ConfigError:
         for change in changes:  # finds the wrong one
             settings = _overridden(settings, change)
             _resolved(settings, change)
         raise
-    for key, what, hint in islice(_problems(config, allow_code=allow_code), 1):
-        # The message names the last layer with the wrong key.
-        where = next((layer.name for layer in reversed([*layers, *changes]) if layer.has(*key)), "the configuration")
-        raise ConfigError(what, hint, *([where] if key else []))
-    return _with_digests(config)
+
+
+def _require_possible(config: Config, layers: Sequence[TomlSource], *, allow_code: bool) -> None:
+    """Raise the first problem of settings; it names the last layer with the wrong key."""
+    for key, what, hint in _problems(config, allow_code=allow_code):
+        if not key:
+            raise ConfigError(what, hint)
+        places = [layer.name for layer in layers if layer.has(*key)]
+        raise ConfigError(what, hint, places[-1] if places else "the configuration")
 
 
 def given_keys(preset: str | None, files: Sequence[Path], overrides: Sequence[str]) -> frozenset[str]:

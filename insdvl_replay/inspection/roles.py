@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.checks.dvl import median_speed_mps
-from insdvl_replay.checks.imu import ENOUGH, imu_remarks, length_refusal
+from insdvl_replay.checks.imu import ENOUGH, length_refusal, rate_remark
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
 from insdvl_replay.core.config import Config, Imu
-from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, ImuColumns, ReferenceColumns
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive, DvlColumns, Floats, ImuColumns, ReferenceColumns
 from insdvl_replay.core.errors import LogError, Note, UserError, counted, error_context
 from insdvl_replay.core.runtime import track_progress
 from insdvl_replay.core.states import DEG, FASTEST_MPS, GRAVITY_MPS2
@@ -243,32 +243,16 @@ def _velocity_unit(speed_mps: float, reference: ReferenceColumns | None, draft: 
     return fitting[0] if fitting else read_in
 
 
+_Tried = tuple[Trials, _ImuTopic, str]  # an IMU and the topic of a DVL that were tried together
+
+
 def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Config, float]:
     """Choose the topics of IMU and DVL by trial runs, with their units, axes and signs; return the cost of the best."""
     place, draft, imus, pings = read.place, read.draft, read.imus, read.pings
-    tried: list[tuple[Trials, _ImuTopic, str]] = []
-    too_few: list[LogError] = []
-    for imu in track_progress("trying IMUs and DVLs", imus):
-        for topic, dvl in pings.items():
-            dive = Dive("", imu.columns, dvl, reference=read.reference)
-            try:
-                stretch = thinned(dive)
-            except LogError as error:
-                too_few.append(error)
-                continue
-            trials = Trials(stretch, trial_config(draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given)
-            tried.append((trials, imu, topic))
-    if not tried:
-        with error_context(place):
-            raise too_few[0]
-    tried.sort(key=lambda found: found[0].cost)
+    tried = _trials_of_pairs(read, given)
     first, _, first_topic = tried[0]
     free = turn_freely(first, pings[first_topic])
-    for trials, *_ in tried:
-        least = min(found.cost for found, *_ in tried)
-        if trials.cost <= NOT_FAR_OFF * least and (trials is tried[0][0] or least > CONSISTENT):
-            trials.vary()
-    tried.sort(key=lambda found: found[0].cost)
+    _vary_likely(tried)
     trials, imu, dvl_topic = tried[0]
     if not np.isfinite(trials.cost):
         raise LogError(
@@ -291,7 +275,6 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
             "use a dive with turns and changes of speed, or give the settings with -c",
             place,
         )
-    looks = pings[dvl_topic].look_d
     notes += read.notes
     others = [_turned_with(chosen, best, rpy_deg) for rpy_deg in others]
     others += [] if free is None or trials is not first else free.alternatives(best)
@@ -302,16 +285,52 @@ def with_roles(read: RoleReadings, given: Given, notes: list[Note]) -> tuple[Con
     draft = msgspec.structs.replace(
         draft, imu=_as_configured(imu, best, given.config.imu, is_alone="imu" in read.is_alone)
     )
+    return _with_dvl(draft, read, dvl_topic, best), trials.cost
+
+
+def _trials_of_pairs(read: RoleReadings, given: Given) -> list[_Tried]:
+    """Try each IMU with each DVL, the best pair first; LogError if none has enough readings."""
+    tried: list[_Tried] = []
+    too_few: list[LogError] = []
+    for imu in track_progress("trying IMUs and DVLs", read.imus):
+        for topic, dvl in read.pings.items():
+            try:
+                stretch = thinned(Dive("", imu.columns, dvl, reference=read.reference))
+            except LogError as error:
+                too_few.append(error)
+                continue
+            trials = Trials(stretch, trial_config(read.draft, UNKNOWN_LATITUDE_DEG), imu.as_read, given)
+            tried.append((trials, imu, topic))
+    if not tried:
+        with error_context(read.place):
+            raise too_few[0]
+    tried.sort(key=lambda found: found[0].cost)
+    return tried
+
+
+def _vary_likely(tried: list[_Tried]) -> None:
+    """Vary the trials of the pairs that may be the best; the best is the first then."""
+    best = tried[0][0]
+    for trials, _, _ in tried:
+        least = min(found.cost for found, _, _ in tried)
+        if trials.cost <= NOT_FAR_OFF * least and (trials is best or least > CONSISTENT):
+            trials.vary()
+    tried.sort(key=lambda found: found[0].cost)
+
+
+def _with_dvl(draft: Config, read: RoleReadings, topic: str, best: Hypothesis) -> Config:
+    """Write the topic, the unit and the mounting of the DVL as settings."""
     if "dvl" not in read.is_alone:
-        draft = with_values(draft, "dvl", topic=dvl_topic)
-    if dvl_topic in read.velocity_units:
-        draft = with_values(draft, "dvl", velocity_unit=read.velocity_units[dvl_topic])
+        draft = with_values(draft, "dvl", topic=topic)
+    if topic in read.velocity_units:
+        draft = with_values(draft, "dvl", velocity_unit=read.velocity_units[topic])
+    looks = read.pings[topic].look_d
     if looks is None or look_down(looks) or any(angle % 90.0 for angle in best.rpy_deg):
-        return with_values(draft, "dvl", mounting_rpy_deg=best.rpy_deg), trials.cost
+        return with_values(draft, "dvl", mounting_rpy_deg=best.rpy_deg)
     # The beams point down in other axes.
     read_b = in_frd(np.eye(3), draft.dvl.axes or FRD, "dvl.axes").T
     turn = np.rint(mat_from_rpy(np.array(best.rpy_deg) * DEG))
-    return with_values(draft, "dvl", axes=axes_text(turn @ read_b)), trials.cost
+    return with_values(draft, "dvl", axes=axes_text(turn @ read_b))
 
 
 def _rivals_of(best: Hypothesis, close: Sequence[Hypothesis]) -> list[tuple[float, float, float]]:
@@ -384,27 +403,13 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
         measured_vectors(table, "angular_rate", "rate", known),
     )
     sizes = np.linalg.norm(force, axis=1)
-    size = float(np.median(sizes[np.isfinite(sizes) & (sizes > 0.0)])) if (sizes > 0.0).any() else np.nan
-    rates = np.linalg.norm(rate, axis=1)
-    turning = float(np.median(rates[np.isfinite(rates)])) if np.isfinite(rates).any() else np.nan
+    size = _median(sizes[sizes > 0.0])
+    turning = _median(np.linalg.norm(rate, axis=1))
     values: dict[str, Any] = {"topic": source.topic, "axes": FRD, "specific_force_axes": FRD}
     values["mounting_rpy_deg"] = Imu().mounting_rpy_deg
-    unit = known.specific_force_unit or "m/s2"
-    fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
-    if fitting and unit not in fitting:
-        values["specific_force_unit"] = fitting[0]
-    elif (step_s := _increment_s(table, size, known)) is not None:
-        values["increment_s"] = step_s
-        turning /= step_s
-    elif not fitting and size > 0.0:
-        near = min(
-            (unit, *SPECIFIC_FORCE_BY_SIZE),
-            key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
-        )
-        ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
-        if near != unit:
-            values["specific_force_unit"] = near
-        values["specific_force_scale"] = float(f"{ratio:.4g}")
+    values |= _force_scale(table, size, known)
+    if "increment_s" in values:
+        turning /= values["increment_s"]
     if turning > SPINNING_RADPS and known.angular_rate_unit != "deg/s":
         values["angular_rate_unit"] = "deg/s"
     settings = msgspec.structs.replace(own, **values)
@@ -413,17 +418,42 @@ def _imu_topic(log: Recording, source: Source, draft: Config) -> _ImuTopic:
     if len(columns.time_ns) < ENOUGH:
         what = f"has {counted(len(columns.time_ns), 'sample')}, too few to try settings"
         raise LogError(what, "", place, source.topic)
-    checked = msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz)
-    for remark in imu_remarks(place, columns, None, checked):
-        if isinstance(remark, LogError) and remark.what.startswith("the IMU has"):
-            raise remark
+    refused = rate_remark(place, columns, msgspec.structs.replace(settings, min_rate_hz=own.min_rate_hz))
+    if isinstance(refused, LogError):
+        raise refused
     if (error := length_refusal(place, columns)) is not None:
         raise error
     return _ImuTopic(source.topic, columns, settings, as_read)
 
 
+def _median(values: Floats) -> float:
+    """Return the median of the finite values; NaN without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else np.nan
+
+
+def _force_scale(table: Table, size: float, known: Imu) -> dict[str, Any]:
+    """Return the settings by which a median size of readings is that of gravity: a unit, an increment, or a scale."""
+    unit = known.specific_force_unit or "m/s2"
+    fitting = fitting_units(size, SPECIFIC_FORCE_BY_SIZE, *AS_GRAVITY_MPS2)
+    if fitting and unit not in fitting:
+        return {"specific_force_unit": fitting[0]}
+    step_s = _increment_s(table, size, known)
+    if step_s is not None:
+        return {"increment_s": step_s}
+    if fitting or not size > 0.0:
+        return {}
+    near = min(
+        (unit, *SPECIFIC_FORCE_BY_SIZE),
+        key=lambda name: abs(np.log(size * SPECIFIC_FORCE_UNITS[name] / GRAVITY_MPS2)),
+    )
+    ratio = size * SPECIFIC_FORCE_UNITS[near] / GRAVITY_MPS2
+    scale = {"specific_force_scale": float(f"{ratio:.4g}")}
+    return scale if near == unit else {"specific_force_unit": near, **scale}
+
+
 def _role_notes(
-    tried: Sequence[tuple[Trials, _ImuTopic, str]],
+    tried: Sequence[_Tried],
     best: Hypothesis,
     imus: Sequence[_ImuTopic],
     others_deg: Sequence[tuple[float, float, float]],

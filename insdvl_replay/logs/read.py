@@ -295,8 +295,7 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
         def look(wanted: Sequence[TopicRequirement] = wanted) -> tuple[Source, ...]:
             sources = tuple(map(topics.need, wanted))
             for source, other in product(sources, reference.sources):
-                read = {quantity: path for quantity, path in source.fields.items() if quantity not in SAMPLED}
-                shared = [path for quantity, path in read.items() if other.fields.get(quantity) == path]
+                shared = _shared_fields(source, other)
                 if other.topic == source.topic and shared:
                     text = f"{source.role} and the reference read the same field, {shared[0]} of '{source.topic}'"
                     hint = "to judge it by another reference: reference.topic and reference.fix"
@@ -307,6 +306,15 @@ def find_roles(place: str, channels: Sequence[LogChannel], config: Config) -> tu
     bias = TopicRequirement("truth", NEEDS["truth"])
     truth = _explained(topics, bias, lambda: tuple(filter(None, [topics.find(bias)])))
     return (imu, dvl, reference, *sensors, *([truth] if truth.sources or truth.error else []))
+
+
+def _shared_fields(source: Source, other: Source) -> list[str]:
+    """Return the fields from which two sources read the same quantity."""
+    shared = []
+    for quantity, path in source.fields.items():
+        if quantity not in SAMPLED and other.fields.get(quantity) == path:
+            shared.append(path)
+    return shared
 
 
 def idle_sensors(

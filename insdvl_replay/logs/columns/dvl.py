@@ -342,56 +342,75 @@ def _used_directions(
     Directions that are given, or that the type of the messages has, go before those in the messages, and these before
     those of most DVLs. Where they contradict the velocity, others are looked for that agree with it.
     """
-    usual_d = _usual_directions(settings)
     cleaner.require_rows()
-    reported = None
-    fault = ""
-    if _are_reported(table) and not _has_directions(settings):
-        raw = _reported_vectors(table, cleaner)
-        fault = _vector_fault(raw, table, cleaner)
-        lengths = np.linalg.norm(raw, axis=1, keepdims=True)
-        if len(raw) and np.all(lengths > 0.0):
-            reported = in_frd(raw / lengths, settings.axes or FRD, "dvl.axes")
-    is_reported = reported is not None and not fault
-    in_use = reported if reported is not None and is_reported else usual_d
+    reported, fault = _directions_in_messages(table, settings, cleaner)
+    usable = None if fault else reported
+    in_use = _usual_directions(settings) if usable is None else usable
     beams = beams_mps.shape[1]
     pings = _compared_pings(table, settings, cleaner, beams_mps)
-    if pings is None:
-        agrees = True
-    elif is_given:
-        agrees = pings.agree(in_use, CONTRADICTS)
-        if not agrees and np.isfinite(pings.misfit(in_use)):
-            _note_contradiction(cleaner, pings, in_use)
-    else:
-        agrees = pings.agree(in_use)
-    if pings is not None and not agrees and not is_given:
+    if pings is not None and is_given:
+        _note_given_contradiction(cleaner, pings, in_use)
+    elif pings is not None and not pings.agree(in_use):
         why = fault or _contradiction(pings, in_use)
         other = agreeing_directions(pings, reported, _slant(table, cleaner))
         if other is not None:
-            code = "beam_geometry" if fault else "beam_directions"
-            text = f"pings have beams whose directions cannot be true ({why}); {_words(other)} agree with the DVL's own"
-            hint = f"to keep these: {_keys(other)}"
-            cleaner.note(code, f"{text} velocity and are used", cleaner.rows.size, Severity.WARNING, hint)
+            _note_other_directions(cleaner, other, "beam_geometry" if fault else "beam_directions", why)
             return _Directions(other)
         if len(in_use) != beams or not pings.has_other_axes(in_use):
-            text = f"pings have beams that contradict the DVL's own velocity ({why}); the velocity is used"
-            hint = f'{_BEAM_HINT} to use the beams; to keep the velocity: dvl.kind = "velocity"'
-            cleaner.note("beams_unused", text, cleaner.rows.size, Severity.WARNING, hint)
+            _note_unused_beams(cleaner, why)
             return None
         _note_contradiction(cleaner, pings, in_use)
-    if len(in_use) != beams:
-        raise ConfigError(
-            f"has {beams} beams, but the geometry has {len(in_use)}",
-            "set one angle for each beam in dvl.beam_azimuth_deg",
-            *table.where,
-        )
+    _require_directions(table, in_use, beams)
     if fault:
         why = "are assumed" if pings is None else "are used, which agree with the DVL's own velocity"
         text = f"pings have impossible beam vectors ({fault}); {_words(in_use)} {why}"
         cleaner.note("beam_geometry", text, cleaner.rows.size, Severity.WARNING, _BEAM_HINT)
-    look = in_use.mean(axis=0) if is_reported else None
+    look = None if usable is None else usable.mean(axis=0)
     _note_look(cleaner, look)
     return _Directions(in_use, look)
+
+
+def _note_given_contradiction(cleaner: Cleaner, pings: BeamVelocities, vectors_d: Floats) -> None:
+    """Report given directions that contradict the velocity; they are used all the same."""
+    if not pings.agree(vectors_d, CONTRADICTS) and np.isfinite(pings.misfit(vectors_d)):
+        _note_contradiction(cleaner, pings, vectors_d)
+
+
+def _require_directions(table: Table, vectors_d: Floats, beams: int) -> None:
+    if len(vectors_d) != beams:
+        raise ConfigError(
+            f"has {beams} beams, but the geometry has {len(vectors_d)}",
+            "set one angle for each beam in dvl.beam_azimuth_deg",
+            *table.where,
+        )
+
+
+def _directions_in_messages(table: Table, settings: Dvl, cleaner: Cleaner) -> tuple[Floats | None, str]:
+    """Return the directions in the messages, (beams, 3), None where there are none, and what is wrong with them."""
+    if not _are_reported(table) or _has_directions(settings):
+        return None, ""
+    raw = _reported_vectors(table, cleaner)
+    fault = _vector_fault(raw, table, cleaner)
+    lengths = np.linalg.norm(raw, axis=1, keepdims=True)
+    if not len(raw) or not np.all(lengths > 0.0):
+        return None, fault
+    return in_frd(raw / lengths, settings.axes or FRD, "dvl.axes"), fault
+
+
+def _note_other_directions(cleaner: Cleaner, vectors_d: Floats, code: str, why: str) -> None:
+    """Report directions that are used instead of those in the messages."""
+    text = (
+        f"pings have beams whose directions cannot be true ({why}); {_words(vectors_d)} agree with the DVL's own "
+        "velocity and are used"
+    )
+    cleaner.note(code, text, cleaner.rows.size, Severity.WARNING, f"to keep these: {_keys(vectors_d)}")
+
+
+def _note_unused_beams(cleaner: Cleaner, why: str) -> None:
+    """Report beams that no directions bring to the velocity of the instrument."""
+    text = f"pings have beams that contradict the DVL's own velocity ({why}); the velocity is used"
+    hint = f'{_BEAM_HINT} to use the beams; to keep the velocity: dvl.kind = "velocity"'
+    cleaner.note("beams_unused", text, cleaner.rows.size, Severity.WARNING, hint)
 
 
 def _words(vectors_d: Floats) -> str:

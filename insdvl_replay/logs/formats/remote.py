@@ -22,7 +22,7 @@ import struct
 import time
 from base64 import b64encode
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -112,17 +112,14 @@ def fetched(
 
 def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: bool) -> Path:
     said = cache_folder() / "urls" / f"{hashlib.sha256(url.encode()).hexdigest()}.json"
-    try:
-        known = json.loads(said.read_bytes())
-        known_sha256, known_state = str(known["sha256"]), known["state"]
-    except (OSError, ValueError, TypeError, KeyError):
-        known_sha256, known_state = "", None
-    logs, name = cache_folder() / "logs", remote_name(url)
+    known_sha256, known_state = _said_before(said)
+    logs = cache_folder() / "logs"
+    name = remote_name(url)
     kept = logs / (sha256 or known_sha256) / name
     is_kept = kept.is_file() and file_digest(kept) == kept.parent.name
+    if offline and is_kept:
+        return kept
     if offline:
-        if is_kept:
-            return kept
         raise LogError("is not kept from an earlier command, and offline nothing is fetched", _ONLINE, shown_url(url))
     longest_bytes, longest_s = _limits()
     system, path = _file_system(url)
@@ -142,13 +139,8 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
     if int(state.get("size", 0)) > longest_bytes:
         raise LogError(f"has {int(state['size']) / 1e9:.3g} GB: {_too_long(longest_bytes)}", _LONGER, shown_url(url))
     with _refused(url):
-        for kept_folder in (logs, said.parent):
-            kept_folder.mkdir(parents=True, exist_ok=True)
-            kept_folder.chmod(0o700)  # others on this machine may not read the logs
-        for left in logs.glob(".part*"):  # by a process that was killed
-            with suppress(OSError):  # another one is done
-                if time.time() - left.stat().st_mtime > _ABANDONED_S:
-                    shutil.rmtree(left)
+        _make_private(logs, said.parent)
+        _remove_abandoned(logs)
         with TemporaryDirectory(dir=logs, prefix=".part") as folder:
             part = Path(folder) / name
             is_over = Event()
@@ -160,13 +152,7 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
             if _within(ANSWERED_S, lambda: _state(system, path)) != state:
                 text = "changed on its server while it was fetched; nothing was kept"
                 raise LogError(text, "fetch it again", shown_url(url))
-            if (size := part.stat().st_size) != state.get("size", size):
-                text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
-                raise LogError(text, _CHECK, shown_url(url))
-            if (digest := file_digest(part)) != (sha256 or digest):
-                hint = "ask who offers it; nothing was kept"
-                text = f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}"
-                raise LogError(text, hint, shown_url(url))
+            digest = _digest_of_whole(part, state, sha256, shown_url(url))
             kept = logs / digest / name
             kept.parent.mkdir(mode=0o700, exist_ok=True)
             part.chmod(0o600)
@@ -175,6 +161,43 @@ def _fetched(url: str, sha256: str, is_stopped: Callable[[], bool], *, offline: 
             part.write_text(json.dumps({"sha256": digest, "state": state}))
             part.replace(said)
     return kept
+
+
+def _said_before(said: Path) -> tuple[str, Any]:
+    """Return the digest and the state of a log when it was fetched; nothing where it was not, or nobody can tell."""
+    try:
+        known = json.loads(said.read_bytes())
+        return str(known["sha256"]), known["state"]
+    except (OSError, ValueError, TypeError, KeyError):
+        return "", None
+
+
+def _make_private(*folders: Path) -> None:
+    """Make folders that others on this machine may not read."""
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(0o700)
+
+
+def _remove_abandoned(logs: Path) -> None:
+    """Remove the parts of logs that killed processes left."""
+    for left in logs.glob(".part*"):
+        with suppress(OSError):  # another process removes it, too
+            if time.time() - left.stat().st_mtime > _ABANDONED_S:
+                shutil.rmtree(left)
+
+
+def _digest_of_whole(part: Path, state: Mapping[str, Any], sha256: str, shown: str) -> str:
+    """Return the digest of what was fetched; LogError if it is not all of the log, or another than the listed one."""
+    size = part.stat().st_size
+    if size != state.get("size", size):
+        text = f"has {size} bytes, where its server announced {state['size']}; nothing was kept"
+        raise LogError(text, _CHECK, shown)
+    digest = file_digest(part)
+    if digest != (sha256 or digest):
+        text = f"the SHA-256 of what was sent is {digest}; the manifest says {sha256}"
+        raise LogError(text, "ask who offers it; nothing was kept", shown)
+    return digest
 
 
 def _limits() -> tuple[float, float]:

@@ -344,19 +344,9 @@ class TableFile(LogFile):
         series = pd.Series(cells).map(lambda cell: cell.strip(" \"'") if isinstance(cell, str) else cell)
         series = series.where(series != "")
         texts = series.dropna().astype(str)
-        times = None if len(texts) and _ISO_DATE.match(texts.iloc[0]) else text_times(series)
+        times = _read_times(table, name, series, texts)
         if times is not None:
-            table.units[name] = "ns"
-            table.periods_ns |= {name: times.period_ns} if times.period_ns else {}
-            return np.where(times.known, times.time_ns, np.nan) if not times.known.all() else times.time_ns
-        if len(texts) and pd.to_numeric(texts, errors="coerce").notna().mean() <= _FEW:
-            dates = pd.to_datetime(series, errors="coerce", utc=True, format="ISO8601")
-            if dates.notna().mean() > 1.0 - _FEW:
-                return dates.dt.tz_localize(None).to_numpy()
-            days = dates_ns(texts) if len(texts) == len(series) else None
-            if days is not None:
-                table.units[name] = "ns"
-                return days
+            return times
         values = self._numbers(table.topic, title, cells)
         if len(texts) and values.dtype.kind == "f" and not np.isfinite(values).any():
             table.unread[name] = str(texts.iloc[0])[:40]
@@ -605,3 +595,22 @@ class RowReader:
         """Return the columns of all rows of a block, (k, n)."""
         rows = np.frombuffer(block.buffer, np.float64).reshape(-1, self._size)[block.offsets // (8 * self._size)]
         return {path: rows[:, places] for path, places in self._places.items()}
+
+
+def _read_times(table: _Table, name: str, series: Any, texts: Any) -> NDArray[Any] | None:
+    """Read cells as times of day, dates and times, or dates; None if they are none of these."""
+    times = None if len(texts) and _ISO_DATE.match(texts.iloc[0]) else text_times(series)
+    if times is not None:
+        table.units[name] = "ns"
+        if times.period_ns:
+            table.periods_ns[name] = times.period_ns
+        return times.time_ns if times.known.all() else np.where(times.known, times.time_ns, np.nan)
+    if not len(texts) or pd.to_numeric(texts, errors="coerce").notna().mean() > _FEW:
+        return None
+    dates = pd.to_datetime(series, errors="coerce", utc=True, format="ISO8601")
+    if dates.notna().mean() > 1.0 - _FEW:
+        return np.asarray(dates.dt.tz_localize(None).to_numpy())
+    days = dates_ns(texts) if len(texts) == len(series) else None
+    if days is not None:
+        table.units[name] = "ns"
+    return days
