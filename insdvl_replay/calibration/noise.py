@@ -228,12 +228,7 @@ def determined_noise(
     DVL an upper limit.
     """
     sds = dict(zip(fitted.after, relative_sds(fitted, dives, changes, nis_by_errors), strict=True))
-    scatter = {
-        key: max(readings_scatter(getattr(dive.dive.imu, INERTIAL[key]), dive.dive.imu.usual_step_s) for dive in dives)
-        if key in INERTIAL
-        else 0.0
-        for key in fitted.after
-    }
+    scatter = {key: _scatter(key, dives) for key in fitted.after}
     impossible = {key: beyond_the_sensor(key, value, scatter[key]) for key, value in fitted.after.items()}
     any_impossible = any(impossible.values())
     drowned = nis_by_errors > MOST_BY_ERRORS * 3 * sum(dive.count for dive in dives)
@@ -256,7 +251,8 @@ def determined_noise(
         for key, value in proposed.after.items()
     )
     if any_impossible:
-        is_limit, kept = not is_bad, FittedNoise(fitted.before, fitted.before) if is_bad else proposed
+        is_limit = not is_bad
+        kept = FittedNoise(fitted.before, fitted.before) if is_bad else proposed
     else:
         search = _Search.of(fitted.before, dives, changes)
         is_limit = not free.all() and (
@@ -264,18 +260,35 @@ def determined_noise(
         )
         kept = fitted if is_limit else proposed
     unknown = [key for key, (status, _) in statuses.items() if status == Estimated.NOT_DETERMINED]
-    limits = dict.fromkeys(unknown, AT_MOST) if is_limit else dict[str, str]()
-    of_imu = [key for key in limits if key in INERTIAL]
+    if not is_limit:
+        return kept, _noise_rows(kept, fitted, statuses, sds)
+    for key in unknown:
+        statuses[key] = Estimated.NOT_DETERMINED, AT_MOST
+    of_imu = [key for key in unknown if key in INERTIAL]
     if of_imu:
         preset = _class_of(kept, of_imu, dives)
-        limits |= dict.fromkeys(of_imu, OF_CLASS.format(preset=preset))
         kept = _with_class(kept, of_imu, preset, dives, changes)
-        statuses |= dict.fromkeys(of_imu, (Estimated.OF_CLASS, ""))
+        statuses |= dict.fromkeys(of_imu, (Estimated.OF_CLASS, OF_CLASS.format(preset=preset)))
+    return kept, _noise_rows(kept, fitted, statuses, sds)
+
+
+def _scatter(key: str, dives: Sequence[DiveInnovations]) -> float:
+    """Return the largest scatter of the readings that a noise is of; 0 for that of the DVL."""
+    if key not in INERTIAL:
+        return 0.0
+    imus = [dive.dive.imu for dive in dives]
+    return max(readings_scatter(getattr(imu, INERTIAL[key]), imu.usual_step_s) for imu in imus)
+
+
+def _noise_rows(
+    kept: FittedNoise, fitted: FittedNoise, statuses: Mapping[str, tuple[Estimated, str]], sds: Mapping[str, float]
+) -> tuple[NoiseRow, ...]:
+    """Return a row for each noise, with its standard deviation where the dives show one."""
     rows = []
     for key, (status, why) in statuses.items():
         sd = float(f"{sds[key] * fitted.after[key]:.2g}") if sds[key] < UNBOUNDED else None
-        rows.append(noise_row(kept, key, status, limits.get(key, why), sd))
-    return kept, tuple(rows)
+        rows.append(noise_row(kept, key, status, why, sd))
+    return tuple(rows)
 
 
 def _class_of(found: FittedNoise, keys: Sequence[str], dives: Sequence[DiveInnovations]) -> str:

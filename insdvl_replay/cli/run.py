@@ -347,7 +347,7 @@ def outcomes_without_settings(
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
-    from insdvl_replay.cli.messages import is_finding, own_findings
+    from insdvl_replay.cli.messages import is_finding
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import Note, UserError
     from insdvl_replay.core.words import Severity
@@ -369,13 +369,11 @@ def outcomes_without_settings(
     given = Given(options.config, options.given)
     stored = [stored_settings(dive.target, given) for dive in dives]
     reports = [stored_report(dive, config) for dive, config in zip(dives, stored, strict=True)]
-    # A dive that contradicts the others had settings of its own before, too.
-    pairs = list(zip(stored, reports, strict=True))
-    is_known = [config == stored[0] or (report and own_findings(report.notes)) for config, report in pairs]
-    if not rerun and reports[0] is not None and all(is_known):
+    if not rerun and _are_known(stored, reports):
         same = list["ReplayJob"]()
-        for dive, (config, report) in zip(dives, pairs, strict=True):
-            found_before = tuple(filter(is_finding, (report or reports[0]).notes))
+        for dive, config, report in zip(dives, stored, reports, strict=True):
+            earlier = report or reports[0]
+            found_before = tuple(filter(is_finding, earlier.notes if earlier else ()))
             same += with_options([dive], config=config, found=found_before)
         yield from outcomes_as_planned(same, jobs, None, force=force, rerun=rerun)
         return
@@ -410,6 +408,19 @@ def outcomes_without_settings(
         return
     found_for = with_options(dives, config=found.config, found=found.notes, vehicle=found.text)
     yield from _outcomes_by_groups(found_for, given, found.config, jobs, force=force, rerun=rerun)
+
+
+def _are_known(stored: "Sequence[Config | None]", reports: "Sequence[Report | None]") -> bool:
+    """Return whether an earlier run found the settings of all dives: those of the first, or some of their own."""
+    from insdvl_replay.cli.messages import own_findings
+
+    if reports[0] is None:
+        return False
+    for config, report in zip(stored, reports, strict=True):
+        has_own = report is not None and bool(own_findings(report.notes))
+        if config != stored[0] and not has_own:
+            return False
+    return True
 
 
 def _outcomes_by_groups(

@@ -8,7 +8,6 @@ what is not a number is missing, rows that do not fit are left out, and each los
 
 import csv
 import re
-from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -34,7 +33,8 @@ from insdvl_replay.logs.formats.array_files import (
 )
 from insdvl_replay.logs.formats.fields import NUMBER, ROW, TABLE, Columns, Kinds, check_path
 from insdvl_replay.logs.formats.log_file import Block, FileBytes, LogChannel, LogFile, UnusableFileError
-from insdvl_replay.logs.formats.table_header import find_header
+from insdvl_replay.logs.formats.table_header import ColumnNames, Header, find_header
+from insdvl_replay.logs.formats.table_text import as_utf8, first_row, is_comment, is_row, separator_of, usual
 from insdvl_replay.logs.formats.table_times import (
     DATE_NAME,
     DAY_NS,
@@ -55,8 +55,6 @@ from insdvl_replay.logs.formats.table_times import (
 _ENDS_WITH_UNIT: Final = re.compile(r"_(s|sec|ms|us|ns|nsec|usec|msec)$")
 _ISO_DATE: Final = re.compile(r"\d{4}-\d\d-\d\d")
 _YMD: Final = re.compile(r"(\d{4})(\d\d)(\d\d)")
-_SEPARATORS: Final = (b"\t", b";", b"|", b",")  # in text with several of them the first one separates
-_COMMENTS: Final = (b"#", b"%")
 _DECIMAL_COMMA: Final = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 # What cells say of a flag; A and V are those of NMEA.
 _FLAG_WORDS: Final = {
@@ -228,44 +226,68 @@ class TableFile(LogFile):
     def _text(self, content: bytes) -> _Table:
         """Read a table that is text: its separator, header and rows must agree."""
         name = self.path.name
-        if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-            content = content.decode("utf-16", "replace").encode()
-        content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-        lines = [line for line in content.split(b"\n") if line.strip()]
-        comments = [line for line in lines if line.lstrip().startswith(_COMMENTS)]
-        above = list(takewhile(lambda line: line.lstrip().startswith(_COMMENTS), lines))
-        lines = [line for line in lines if not line.lstrip().startswith(_COMMENTS)]
+        content = as_utf8(content)
+        written = [line for line in content.split(b"\n") if line.strip()]
+        comments = [line for line in written if is_comment(line)]
+        above = list(takewhile(is_comment, written))
+        lines = [line for line in written if not is_comment(line)]
         if lines and not content.endswith(b"\n"):
             lines.pop()
             self._note(
                 "table_cut", name, "the last line does not end, so it may be cut; left out", hint="copy it again"
             )
-        sample = lines[1:][-200:] or lines or [b""]
-        usual = {mark: Counter(line.count(mark) for line in sample).most_common(1)[0][0] for mark in _SEPARATORS}
-        separator = next((mark for mark, count in usual.items() if count), None)
+        separator = separator_of(lines)
         cells = [len(line.split()) if separator is None else line.count(separator) + 1 for line in lines]
-        width = Counter(cells).most_common(1)[0][0] if cells else 0
-        names = find_header(lines, separator, width)
-        head = names.rows_at if names else 0
-        while not names and head < len(lines) and not any(map(_is_number, lines[head].split(separator))):
-            head += 1
+        names = find_header(lines, separator, usual(cells))
+        head = names.rows_at if names else first_row(lines, separator)
         cells = cells[head:]
-        width = Counter(cells).most_common(1)[0][0] if cells else 0
+        width = usual(cells)
         self._require_few(width)
         if width < 2:
             what = f"is no table: {counted(len(cells), 'line')} with numbers, {counted(width, 'column')}"
             raise UnusableFileError(what, "give a table of numbers whose first line names the columns", self.path)
-        named = [line.strip(b" #%") for line in above]
-        named = [line for line in named if not _is_row(line, separator, width)]
-        header = lines[0] if head else named[-1] if named else b""
-        titles = header.decode("utf-8", "replace").split(separator.decode() if separator else None)
+        titles = self._titles(names, lines[:head], above, separator, width)
+        self._note_header(name, names, head, titles)
+        self._note_commented_rows(name, comments, separator, width)
+        fits = np.array(cells) == width
+        self._require_rows(name, fits, width)
+        empty = (separator or b" ") * (width - 1)
+        joined = b"\n".join(line if is_whole else empty for line, is_whole in zip(lines[head:], fits, strict=True))
+        del lines, written, content  # of a long dive they are large
+        frame = pd.read_csv(
+            BytesIO(joined), sep=separator.decode() if separator else r"\s+", header=None, names=range(width),
+            index_col=False, skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
+            encoding_errors="replace",
+        )  # fmt: skip
+        titles = [title.strip().strip("\"'") for title in titles] or [f"column_{i + 1}" for i in range(width)]
+        return self._named(name, [(title, frame[i].to_numpy()) for i, title in zip(frame, titles, strict=True)])
+
+    def _titles(
+        self, names: Header | None, head: Sequence[bytes], above: Sequence[bytes], separator: bytes | None, width: int
+    ) -> list[str]:
+        """Return the names of the columns as they are written; none where no line names them.
+
+        They are in the lines of the header, or in the last comment above the rows.
+        """
         if names and width == len(names.titles):
-            titles = list(names.titles)
-        elif not head and len(titles) != width:
-            titles = []
-        if titles and len(titles) != width:
-            what = f"has {counted(len(titles), 'name')} in its first line, but {counted(width, 'cell')} in its rows"
-            raise LogError(what, "one separator for names and rows, and a decimal point", self.path)
+            return list(names.titles)
+        bare = [line.strip(b" #%") for line in above]
+        named = [line for line in bare if not is_row(line, separator, width)]
+        line = b""
+        if head:
+            line = head[0]
+        elif named:
+            line = named[-1]
+        titles = line.decode("utf-8", "replace").split(separator.decode() if separator else None)
+        if len(titles) == width or not titles:
+            return titles
+        if not head:
+            return []
+        what = f"has {counted(len(titles), 'name')} in its first line, but {counted(width, 'cell')} in its rows"
+        raise LogError(what, "one separator for names and rows, and a decimal point", self.path)
+
+    def _note_header(self, name: str, names: Header | None, head: int, titles: Sequence[str]) -> None:
+        """Report lines above the names, and columns without names."""
         if names and names.names_at:
             clause = counted_clause(names.names_at, "lines are above the names of the columns and are left out")
             self._note("table_header", name, clause, names.names_at, warn=False)
@@ -275,32 +297,28 @@ class TableFile(LogFile):
             )
         if not titles:
             self._note("table_header", name, "no line names the columns; they are column_1, column_2 ...", warn=False)
-        rows_in_comments = [line for line in comments if _is_row(line.lstrip().lstrip(b"#% "), separator, width)]
-        if rows_in_comments:
-            clause = counted_clause(len(rows_in_comments), "rows of numbers begin with # or % and are left out")
-            self._note("table_comments", name, clause, len(rows_in_comments), warn=False)
-        fits = np.array(cells) == width
-        if (wrong := int(np.count_nonzero(~fits))) > max(1.0, _FEW * len(cells)):
-            raise LogError(f"{wrong} of {len(cells)} rows have other than {width} cells", "one row a line", self.path)
+
+    def _note_commented_rows(self, name: str, comments: Sequence[bytes], separator: bytes | None, width: int) -> None:
+        """Report rows of numbers that are left out since they begin as comments do."""
+        rows = [line for line in comments if is_row(line.lstrip().lstrip(b"#% "), separator, width)]
+        if rows:
+            clause = counted_clause(len(rows), "rows of numbers begin with # or % and are left out")
+            self._note("table_comments", name, clause, len(rows), warn=False)
+
+    def _require_rows(self, name: str, fits: NDArray[np.bool_], width: int) -> None:
+        """Refuse a table with many rows of another width, and report a few."""
+        wrong = int(np.count_nonzero(~fits))
+        if wrong > max(1.0, _FEW * len(fits)):
+            raise LogError(f"{wrong} of {len(fits)} rows have other than {width} cells", "one row a line", self.path)
         if wrong:
             clause = counted_clause(wrong, f"rows have other than {width} cells")
             where = int(np.argmin(fits)) + 1
             self._note("table_rows", name, f"{clause}; left out, the first is row {where}", wrong, "copy it again")
-        empty = (separator or b" ") * (width - 1)
-        joined = b"\n".join(line if is_row else empty for line, is_row in zip(lines[head:], fits, strict=True))
-        del lines, content  # of a long dive they are large
-        frame = pd.read_csv(
-            BytesIO(joined), sep=separator.decode() if separator else r"\s+", header=None, names=range(width),
-            index_col=False, skip_blank_lines=False, skipinitialspace=True, quoting=csv.QUOTE_NONE, low_memory=False,
-            encoding_errors="replace",
-        )  # fmt: skip
-        titles = [title.strip().strip("\"'") for title in titles] or [f"column_{i + 1}" for i in range(width)]
-        return self._named(name, [(title, frame[i].to_numpy()) for i, title in zip(frame, titles, strict=True)])
 
     def _named(self, topic: str, columns: Iterable[tuple[str, NDArray[Any]]]) -> _Table:
         """Make a table of columns by their titles; what is not a number in a column of numbers is missing."""
         table = _Table(topic, {}, {})
-        names = _Names()
+        names = ColumnNames()
         for title, given in columns:
             if len(title) > _LONGEST_TITLE:
                 what = f"the title of column {len(table.columns) + 1} has {len(title)} letters: '{title[:20]}...'"
@@ -489,24 +507,6 @@ def _days_of(table: _Table, name: str) -> TimeNs | None:
     return None
 
 
-class _Names:
-    """Names of columns, each once: of equal ones, the second is ``name_2``."""
-
-    def __init__(self) -> None:
-        self._taken: set[str] = set()
-        self._counts: Counter[str] = Counter()
-
-    def unique(self, name: str) -> str:
-        """Return the name, or the next with a number that no column has."""
-        unique = name
-        self._counts[name] += 1
-        while unique in self._taken:
-            unique = f"{name}_{self._counts[name]}"
-            self._counts[name] += 1
-        self._taken.add(unique)
-        return unique
-
-
 def _popped(arrays: dict[str, NDArray[Any]]) -> Iterator[tuple[str, NDArray[Any]]]:
     """Give arrays away one by one, as of a long dive they are large."""
     while arrays:
@@ -548,20 +548,6 @@ def _clear_missing(rows: NDArray[np.float64]) -> int:
 
 def _first_word(name: str) -> str:
     return re.split(r"[_.\s]", name)[0].lower()
-
-
-def _is_row(line: bytes, separator: bytes | None, width: int) -> bool:
-    """Return whether a line has as many cells as the rows of a table, and numbers in the first two."""
-    cells = line.split(separator)
-    return len(cells) == width and all(map(_is_number, cells[:2]))
-
-
-def _is_number(cell: bytes) -> bool:
-    try:
-        float(cell.strip().strip(b'"').replace(b",", b"."))
-    except ValueError:
-        return False
-    return True
 
 
 class RowReader:

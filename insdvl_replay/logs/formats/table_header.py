@@ -1,10 +1,12 @@
 """Where the rows of a table of text begin, and which line above them names the columns."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from insdvl_replay.core.units import UNITS_BY_KIND, spelled, unit_of
+from insdvl_replay.logs.formats.table_text import is_number
 from insdvl_replay.logs.formats.table_times import DATE_NAME, TIME_NAME
 
 _LONGEST: Final = 100  # lines above the rows at most
@@ -19,15 +21,6 @@ class Header:
     names_at: int  # number of the line that names the columns
     rows_at: int  # of the first row
     titles: tuple[str, ...]  # with the units of a line of units
-
-
-def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with a decimal point or comma."""
-    try:
-        float(cell.strip().strip('"').replace(",", "."))
-    except ValueError:
-        return False
-    return True
 
 
 def find_header(lines: Sequence[bytes], separator: bytes | None, width: int) -> Header | None:
@@ -68,9 +61,7 @@ def _header(cells: Sequence[Sequence[str]], above: Sequence[int], rows_at: int) 
     for number in above:
         if number > names_at and _are_units(cells[number]):
             pairs = zip(titles, cells[number], strict=True)
-            titles = [
-                f"{title} [{unit.strip('[]()')}]" if unit and not unit_of(title) else title for title, unit in pairs
-            ]
+            titles = [_with_unit(title, unit) for title, unit in pairs]
     return Header(names_at, rows_at, tuple(titles))
 
 
@@ -91,3 +82,21 @@ def _are_units(row: Sequence[str]) -> bool:
     filled = [cell for cell in row if cell and cell != "-"]
     units = [cell for cell in filled if spelled(cell.strip("[]()")) in _UNITS]
     return 2 * len(units) > len(filled)
+
+
+class ColumnNames:
+    """Names of columns, each once: of equal ones, the second is ``name_2``."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+        self._counts: Counter[str] = Counter()
+
+    def unique(self, name: str) -> str:
+        """Return the name, or the next with a number that no column has."""
+        unique = name
+        self._counts[name] += 1
+        while unique in self._taken:
+            unique = f"{name}_{self._counts[name]}"
+            self._counts[name] += 1
+        self._taken.add(unique)
+        return unique
