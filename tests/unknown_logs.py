@@ -35,9 +35,9 @@ Ping = tuple[int, int, np.ndarray]
 """Time of validity and of recording in ns, velocity."""
 
 
-def plain_dive(scenario: str) -> Dive:
+def plain_dive(scenario: str, imu_rate_hz: float = 100.0) -> Dive:
     """Simulate a dive whose DVL gives velocities, with times in whole milliseconds, and without a reference."""
-    dive = simulate_dive(scenario, seed=3, duration_s=150.0, grade="tactical")
+    dive = simulate_dive(scenario, seed=3, duration_s=150.0, imu_rate_hz=imu_rate_hz, grade="tactical")
     beams, vectors = dive.dvl.beam_velocity_mps, dive.dvl.beam_vectors_d
     assert beams is not None
     assert vectors is not None

@@ -49,15 +49,21 @@ SEEDS = range(5100, 5120)
 
 
 @cache
-def exact(scenario: str) -> Dive:
-    return exact_dive(scenario)
+def exact(scenario: str, duration_s: float | None = None) -> Dive:
+    return exact_dive(scenario, duration_s=duration_s)
 
 
 def beside(
-    scenario: str, seed: int, *, velocity: bool = True, attitude: bool = True, config: Config = CONFIG
+    scenario: str,
+    seed: int,
+    *,
+    velocity: bool = True,
+    attitude: bool = True,
+    config: Config = CONFIG,
+    duration_s: float | None = None,
 ) -> ReadDive:
     """Simulate a dive beside a reference that sits elsewhere, is turned and late; its DVL reads too much."""
-    truth = exact(scenario)
+    truth = exact(scenario, duration_s)
     assert truth.reference is not None
     dive = add_errors(truth, GRADES["fog"], WHITE, seed)
     reference = elsewhere(truth)
@@ -149,7 +155,7 @@ def test_what_was_put_in_is_found(found: Calibration) -> None:
 
 
 def test_a_straight_line_shows_neither_arm_nor_whose_axes_are_turned() -> None:
-    held = calibrated(beside("straight", 2))
+    held = calibrated(beside("straight", 2, duration_s=250.0))
     assert held.reference is not None
     rows = {row.parameter: row for row in held.reference.rows}
     for name in ("reference_arm_x", "reference_arm_y", "reference_arm_z", "reference_mounting_z"):
@@ -231,7 +237,7 @@ def test_dives_together_are_surer_and_their_scatter_is_reported(found: Calibrati
 
 
 def test_a_dependent_reference_is_doubted_and_none_is_an_error() -> None:
-    read = beside("figure-eight", 1)
+    read = beside("straight", 1, duration_s=60.0)
     settings = msgspec.structs.replace(read.config.reference, independent=False)
     told = calibrated(read.with_config(msgspec.structs.replace(read.config, reference=settings)))
     assert any("independent = false" in warning for warning in told.warnings)

@@ -118,8 +118,8 @@ def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
     """Nor do they say anything of their own, with an IMU as noisy or with one that is far noisier there."""
     config, sensors = load_config("mems"), GRADES["mems"]
     noisier = replace(sensors, **{key: times * getattr(sensors, key) for key in INERTIAL})
-    exact = exact_dive("static", duration_s=200.0, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
-    moving = otherwise("calibration", "mems", 100)
+    exact = exact_dive("static", duration_s=100.0, lever_arm_m=ARM_M, mounting_rpy_deg=(0.0, 0.0, YAW_DEG))
+    moving = otherwise("calibration", "mems", 100, 300.0)
     still = [
         as_read(late_and_long(add_errors(exact, noisier, DvlErrors(), seed), DELAY_S, SCALE), config)
         for seed in (101, 102)
@@ -153,8 +153,9 @@ def test_strong_manoeuvres_show_the_delay_next_to_a_noisy_imu(grade: str) -> Non
     assert np.nanmax(np.abs(errors_over_sds(found, BUILT_IN))) < 3.5
 
 
-def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm() -> None:
-    found = calibrated(otherwise("lawnmower", "mems", 62))
+@pytest.mark.parametrize("duration_s", [600.0, pytest.param(None, marks=pytest.mark.nightly)])
+def test_a_scale_that_nothing_shows_does_not_run_away_with_the_arm(duration_s: float | None) -> None:
+    found = calibrated(otherwise("lawnmower", "mems", 62, duration_s))
     assert shown(found.fit.change(0))[-1] == 0.0
     assert found.after.lever_arm_m[:2] == pytest.approx((0.3, -0.1), abs=0.05)
 

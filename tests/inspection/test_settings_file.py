@@ -114,7 +114,7 @@ def test_an_arm_and_a_delay_that_nobody_knows_are_not_taken_for_a_turned_dvl(tmp
 
 @pytest.fixture(scope="module")
 def turning() -> Dive:
-    return unknown_logs.plain_dive("figure-eight")
+    return unknown_logs.plain_dive("figure-eight", imu_rate_hz=50.0)
 
 
 def turned_dvl(dive: Dive, rpy_deg: tuple[float, float, float]) -> Dive:
@@ -140,9 +140,11 @@ def test_mounting_is_reported_by_the_innovations(
     log = tmp_path / "log.mcap"
     write_dive(log, replace(turned_dvl(turning, rpy_deg), reference=None))
     given = ("initial.source=level", "initial.latitude_deg=32.8")
-    config = loaded(log, tmp_path, *given)
+    file = tmp_path / "proposed.toml"
+    file.write_text(proposed(log, *given).text)
+    config = load_config(file=file)
     # This vehicle never slips sideways: a DVL on its back measures the same, and the file says so.
-    is_named = f"[{', '.join(f'{angle:g}' for angle in rpy_deg)}]" in proposed(log, *given).text
+    is_named = f"[{', '.join(f'{angle:g}' for angle in rpy_deg)}]" in file.read_text()
     assert is_named or config.dvl.mounting_rpy_deg == pytest.approx(rpy_deg, abs=1.0)
     assert rpy_deg[0] or config.dvl.mounting_rpy_deg == pytest.approx(rpy_deg, abs=1.0)
     assert (config.initial.source, config.initial.latitude_deg) == ("level", 32.8)

@@ -30,7 +30,7 @@ START = {"initial.heading_deg": "30.0", "initial.latitude_deg": "32.8"}
 
 @pytest.fixture(scope="module")
 def turning() -> Dive:
-    return unknown_logs.plain_dive("figure-eight")
+    return unknown_logs.plain_dive("figure-eight", imu_rate_hz=50.0)
 
 
 @pytest.fixture(scope="module")

@@ -51,7 +51,7 @@ def turned_deg(one: float, other: float) -> float:
 
 @pytest.fixture(scope="module")
 def truth() -> Dive:
-    return exact_dive("calibration")
+    return exact_dive("calibration", duration_s=300.0, imu_rate_hz=50.0)
 
 
 @pytest.mark.nightly

@@ -359,6 +359,7 @@ def with_wrong_dvl(scenario: str, seed: int, scale: float, yaw_deg: float) -> Hi
         scenario,
         seed=seed,
         duration_s=900.0,
+        imu_rate_hz=25.0,
         imu_errors=replace(MATCHED_IMU, accel_white_mps_rts=WHITE),
         dvl_errors=MATCHED_DVL,
         mounting_rpy_deg=(0.0, 0.0, yaw_deg),
