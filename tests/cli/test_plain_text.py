@@ -1,5 +1,6 @@
 """Text from a log, a file's name or a setting never acts: bytes of every output of commands on a hostile dive."""
 
+import contextlib
 import csv
 import io
 import json
@@ -69,6 +70,15 @@ def spoken(arguments: list[str], cwd: Path, code: int) -> tuple[str, str]:
     )
     assert done.returncode == code, done.stderr.decode()
     return done.stdout.decode(), done.stderr.decode()
+
+
+def said(arguments: list[str], cwd: Path, code: int) -> tuple[str, str]:
+    """Run the tool in this process, where a process of its own has shown already that its streams are the same."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.chdir(cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        found = run_command_line(arguments)
+    assert found == code, err.getvalue()
+    return out.getvalue(), err.getvalue()
 
 
 def assert_plain(text: str) -> None:
@@ -141,10 +151,12 @@ def test_annotations_are_commands_of_ours_alone() -> None:
 
 def test_run_and_its_folder(hostile: Path) -> None:
     dive = f"{DIVE}.mcap"
-    for format_ in ("table", "md", "latex", "csv"):
-        for text in spoken(["run", dive, "--format", format_, "-v"], hostile, 0):
+    for text in spoken(["run", dive, "-v"], hostile, 0):
+        assert_plain(text)
+    for format_ in ("md", "latex", "csv"):
+        for text in said(["run", dive, "--format", format_, "-v"], hostile, 0):
             assert_plain(text)
-    _, told = spoken(["run", dive, "--rerun", "-vv"], hostile, 0)
+    _, told = said(["run", dive, "--rerun", "-vv"], hostile, 0)
     assert len(told.splitlines()) == len(
         re.findall(r"^(?:info|warning|wrote|assumed|found|`insdvl-replay)\b", told, re.MULTILINE)
     )
@@ -157,11 +169,11 @@ def test_run_and_its_folder(hostile: Path) -> None:
 
 
 def test_compare(hostile: Path) -> None:
-    spoken(["run", f"{DIVE}.mcap", "-o", "other", "--set", "dvl.velocity_sd_mps=0.1"], hostile, 0)
-    spoken(["run", f"{DIVE}.mcap"], hostile, 0)
-    for format_ in ("table", "md", "latex", "csv"):
+    said(["run", f"{DIVE}.mcap", "-o", "other", "--set", "dvl.velocity_sd_mps=0.1"], hostile, 0)
+    said(["run", f"{DIVE}.mcap"], hostile, 0)
+    for format_, tell in (("table", spoken), ("md", said), ("latex", said), ("csv", said)):
         arguments = ["compare", f"replay/{DIVE}", f"other/{DIVE}", "--format", format_, "--fail-on", "0%"]
-        for text in spoken(arguments, hostile, 1):
+        for text in tell(arguments, hostile, 1):
             assert_plain(text)
 
 
@@ -198,7 +210,7 @@ def test_the_last_line_of_stderr_is_the_reason(hostile: Path) -> None:
         ["run", "x", f"--nothing{HOSTILE}"],
         ["config", "--set", HOSTILE],
     ):
-        _, told = spoken(arguments, hostile, 2)
+        _, told = said(arguments, hostile, 2)
         assert_plain(told)
         assert told.startswith("error: ")
         assert told.count("\n") == 1

@@ -25,7 +25,9 @@ from insdvl_replay.sim.dive import simulate_dive
 
 @pytest.fixture(scope="module")
 def good() -> Dive:
-    return damaged.velocities_alone(simulate_dive("calibration", duration_s=200.0, imu_rate_hz=50.0, seed=4, grade="tactical"))
+    return damaged.velocities_alone(
+        simulate_dive("calibration", duration_s=200.0, imu_rate_hz=50.0, seed=4, grade="tactical")
+    )
 
 
 def written(dive: Dive, damage: str, folder: Path) -> Path:
