@@ -131,6 +131,15 @@ _SENTENCES: Final = {
         "one of them is wrong",
         "find the wrong one; then name another reference.fix or reference.velocity_n, since dvl.scale fits only one",
     ),
+    "reference_late": (
+        "the reference is {size_s:.3f} +- {sd_s:.3f} s {late} against the IMU, by its turns and accelerations",
+        "reference.latency_s = {setting:.3f}",
+    ),
+    "reference_late in part": (
+        "the reference's turns are {turns_s:+.3f} s and its changes of velocity {accelerations_s:+.3f} s later than "
+        "the IMU's, so one of them is late",
+        "name fields of one source: reference.topic, reference.velocity_n and reference.quaternion",
+    ),
     "reference_jump": (
         "the {quantity} of the reference jump in {count} of {steps} steps, the largest by {largest:.1f} {unit} at "
         "{at_s:.1f} s after its first row",

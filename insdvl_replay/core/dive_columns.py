@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_record import Channel
+from insdvl_replay.core.dive_record import Channel, ReferenceDelay
 from insdvl_replay.core.errors import Note
 
 Floats = NDArray[np.float64]
@@ -260,4 +260,5 @@ class Dive:
     sha256: str = ""  # of the log's bytes; empty for a dive that was never a file
     paths: tuple[Path, ...] = ()  # of the log's files
     channels: tuple[Channel, ...] = ()  # what the log holds
+    reference_delay: ReferenceDelay | None = None  # None: nobody has looked
     notes: tuple[Note, ...] = field(default=())  # what was dropped, assumed or found odd while reading

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
+from insdvl_replay.core.words import DelayStatus
 
 # Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to.
 LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
@@ -45,6 +46,30 @@ class Channel:
     encoding: str
     role: str  # ``imu``, ``dvl``, ``reference``, ``truth``, or empty where the replay has no use for it
     messages: int
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How much later stamps are than those of the IMU, s, with the standard error."""
+
+    delay_s: float
+    sd_s: float
+
+
+@dataclass(frozen=True)
+class ReferenceDelay:
+    """How much later a reference is than the IMU, beyond `reference.latency_s`; negative where it is early."""
+
+    delay_s: float | None  # None where nothing is known
+    sd_s: float | None  # standard error
+    status: DelayStatus
+    by_turns: Delay | None = None  # against the gyros
+    by_accelerations: Delay | None = None  # against the accelerometers
+
+    @property
+    def is_checked(self) -> bool:
+        """Whether the delay is known well enough to rely on."""
+        return self.status == DelayStatus.DETERMINED
 
 
 def dive_name(path: Path) -> str:

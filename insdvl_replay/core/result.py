@@ -35,7 +35,7 @@ from msgspec.structs import astuple
 
 from insdvl_replay import __version__
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_record import Channel
+from insdvl_replay.core.dive_record import Channel, ReferenceDelay
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import CandidateVerdict, Tables
@@ -342,6 +342,13 @@ class Report(Struct, frozen=True):
     notes: Annotated[list[Note], Meta(description="notes: dropped data, assumptions and anomalies")]
     config: Annotated[dict[str, Any], Meta(description="resolved settings, as in config.schema.json")]
     code: Annotated[dict[str, CodeFile], Meta(description="user code that was run, by its name in the settings")] = {}
+    reference_delay: Annotated[
+        ReferenceDelay | None,
+        Meta(
+            description="how much later the reference's stamps are than the IMU's, beyond reference.latency_s; null in "
+            "early reports, which did not look"
+        ),
+    ] = None
     files: Files = {}
 
 
@@ -366,6 +373,7 @@ def build_report(
         notes=list(notes),
         config=msgspec.to_builtins(config),
         code={word: _code_file(word) for word in config.code},
+        reference_delay=dive.reference_delay,
     )
 
 
@@ -429,6 +437,7 @@ class StoredReport(Struct, frozen=True):
     filters: dict[str, Row] = {}
     notes: list[Note] = []
     config: dict[str, Any] = {}
+    reference_delay: ReferenceDelay | None = None
 
 
 @dataclass(frozen=True)

@@ -98,6 +98,16 @@ class ReferenceStatus(StrEnum):
     LOST_IN_GAP = "lost in gap"  # The position was lost in a long IMU gap.
 
 
+class DelayStatus(StrEnum):
+    """Whether the delay of a reference against the IMU is known."""
+
+    DETERMINED = "determined"
+    CONTRADICTORY = "contradictory"  # Turns and accelerations have different delays; the larger one is given.
+    LITTLE_MOTION = "little motion"  # The vehicle moves too little, or the reference is too coarse.
+    NO_ATTITUDE = "no attitude"  # Without one, turns and accelerations cannot be compared.
+    NO_REFERENCE = "no reference"
+
+
 class DirectionStatus(StrEnum):
     """How well measurements determine a direction of the error state."""
 

@@ -19,10 +19,11 @@ from insdvl_replay.calibration.dives import answer_of, calibrate_dives
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
 from insdvl_replay.calibration.noise import GRADES, INERTIAL, imu_class, noise_class
+from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, ReferenceColumns, nanoseconds
-from insdvl_replay.core.errors import LogError, Note, UserError, listed
+from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
@@ -55,6 +56,8 @@ WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the
 CONTRADICTIONS: Final = frozenset(
     {"dvl_contradiction", "track_contradiction", "imu_gyro_contradiction", "reference_constant"}
 )
+REFERENCE_LATENCY: Final = "reference.latency_s"
+LATENCY_DIGITS: Final = 3  # of a delay, s
 SHORT_S: Final = 30.0  # shorter logs are the last by which settings are found
 _NOT_NEEDED: Final = ("dvl.valid",)  # keys of a proposal without a value with which a replay works all the same
 MOST_DIFFERENCES: Final = 4  # that are named
@@ -98,6 +101,7 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     notes: list[Note] = []
     first, config, cost = _first_with_roles(dives, given, notes, allow_damaged=allow_damaged)
     report_stage("reading the log")
+    proposed_s = config.reference.latency_s
     dive, config = _read_with_reference(first, config, given, cost, notes, allow_damaged=allow_damaged)
     read = [dive]
     for paths in dives:
@@ -108,6 +112,7 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
                 if _misread(other) <= _misread(dive):
                     read.append(other)
     read = _without_short(read, notes)
+    read, config = _with_reference_latency(read, config, given, proposed_s, notes)
     config = _with_start(read[0], config)
     preset = imu_class(read[0].imu)
     config = _as_given(_of_class(preset, config), given)
@@ -201,6 +206,10 @@ def _read_with_reference(
             raise error from None
         notes.append(_unused_reference(error.what))
         return dive, without
+    late_s = _late_reference_s(dive, given)
+    if late_s and not config.reference.ignore:
+        config = with_values(config, "reference", latency_s=round(config.reference.latency_s + late_s, LATENCY_DIGITS))
+        dive = read_checked_dive(paths, config, allow_damaged=allow_damaged)
     contradictions = [note for note in dive.notes if note.code in CONTRADICTIONS]
     if not contradictions or not is_free:
         return dive, config
@@ -210,6 +219,49 @@ def _read_with_reference(
         latitude_deg = round(float(np.nanmedian(dive.reference.position[:, 0])) / DEG, 3)
         config = with_values(config, "initial", latitude_deg=latitude_deg)
     return read_checked_dive(paths, config, allow_damaged=allow_damaged), config
+
+
+def _late_reference_s(dive: Dive, given: Given) -> float:
+    """Return how late the reference of a dive is, s; 0 where that is given, not known or too little to matter."""
+    found = dive.reference_delay
+    if found is None or found.delay_s is None or not found.is_checked or not is_late(found):
+        return 0.0
+    return 0.0 if given.has(REFERENCE_LATENCY) else found.delay_s
+
+
+def _with_reference_latency(
+    dives: Sequence[Dive], config: Config, given: Given, proposed_s: float, notes: list[Note]
+) -> tuple[list[Dive], Config]:
+    """Set the latency of the references to the mean delay of all dives, by their weights, where any of them is late.
+
+    The first dive may have been read with another latency than the proposed one already, s.
+    """
+    first_s = config.reference.latency_s
+    found = [dive.reference_delay for dive in dives]
+    known = [one for one in found if one is not None and one.is_checked]
+    delays_s = [one.delay_s for one in known if one.delay_s is not None]
+    weights = [one.sd_s**-2.0 for one in known if one.sd_s is not None]
+    if given.has(REFERENCE_LATENCY) or not weights:
+        return list(dives), config
+    rest_s = float(np.average(delays_s, weights=weights))
+    if first_s == proposed_s and not any(map(is_late, known)):
+        return list(dives), config
+    latency_s = round(first_s + rest_s, LATENCY_DIGITS)
+    config = with_values(config, "reference", latency_s=latency_s)
+    by = f"by its turns and accelerations on {counted(len(known), 'dive')}"
+    sd_s = float(np.sum(weights)) ** -0.5
+    text = f"the reference is {latency_s:+.3f} +- {sd_s:.3f} s later than the IMU, {by}"
+    notes.append(found_note("found_reference_delay", text, "to set it: reference.latency_s"))
+    return [_reference_later(dive, config, latency_s - first_s) for dive in dives], config
+
+
+def _reference_later(dive: Dive, config: Config, latency_s: float) -> Dive:
+    """Return a dive with the reference of another latency, which is subtracted from stamps as a log is read."""
+    if dive.reference is None:
+        return dive
+    reference = replace(dive.reference, time_ns=dive.reference.time_ns - nanoseconds(latency_s))
+    notes = tuple(note for note in dive.notes if note.code != "reference_late")
+    return with_reference_delay(replace(dive, reference=reference, notes=notes), config)
 
 
 def _unused_reference(reason: str) -> Note:

@@ -11,6 +11,7 @@ from msgspec.structs import replace as changed
 from insdvl_replay import logs
 from insdvl_replay.checks.imu import length_refusal
 from insdvl_replay.checks.reference import plausibility_notes, without_frozen
+from insdvl_replay.checks.reference_delay import with_reference_delay
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes, solution_notes
 from insdvl_replay.core.config import Config, Imu, Span
 from insdvl_replay.core.dive_columns import (
@@ -94,7 +95,8 @@ def read_checked_dive(
     notes = frozen + plausibility_notes(place, dive.imu, dive.dvl, dive.reference, config)
     notes += sensor_notes(dive.sensors, dive.reference, config)
     notes += solution_notes(dive.solutions, dive.reference, config)
-    return replace(dive, name=name or dive.name, notes=(*dive.notes, *notes))
+    dive = replace(dive, name=name or dive.name, notes=(*dive.notes, *notes))
+    return with_reference_delay(dive, config)
 
 
 def with_reference_at_imu(dive: Dive, config: Config) -> Dive:

@@ -13,7 +13,7 @@ from insdvl_replay import replay_log
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
-from insdvl_replay.core.dive_columns import Dive
+from insdvl_replay.core.dive_columns import Dive, nanoseconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.inspection.proposal import Given
@@ -165,3 +165,22 @@ def test_tracks_are_added_with_the_settings_that_were_found(
     assert run_command_line(["run", str(log), "-o", str(out), "--starts", "1", "--tum", "--force"]) == 0
     assert "found: IMU" in capsys.readouterr().err
     assert (out / "dive" / "reference.tum").is_file()
+
+
+def test_a_late_reference_is_found_beside_a_late_dvl(good: Dive, tmp_path: Path) -> None:
+    log = tmp_path / "dive.mcap"
+    assert good.reference is not None
+    late = replace(good.reference, time_ns=good.reference.time_ns + nanoseconds(0.2))
+    pings = replace(good.dvl, time_ns=good.dvl.time_ns + nanoseconds(0.12))
+    write_dive(log, replace(good, reference=late, dvl=pings))
+    found = find_settings([[log]], Given(Config()))
+    assert found.config.reference.latency_s == pytest.approx(0.2, abs=0.005)
+    assert found.config.dvl.latency_s == pytest.approx(0.12, abs=0.02)
+    assert "found_reference_delay" in [note.code for note in found.notes]
+    replay = replayed(log, found.config)
+    assert "reference_late" not in [note.code for note in replay.notes]
+    assert replay.dive.reference_delay is not None
+    assert replay.dive.reference_delay.is_checked
+    given = load_config(None, [], ["reference.latency_s=0.1"])
+    kept = find_settings([[log]], Given(given))
+    assert kept.config.reference.latency_s == 0.1

@@ -8,6 +8,7 @@ import numpy as np
 from as_text import Cases, noted, refusal
 
 from insdvl_replay.checks.reference import plausibility_notes, reference_notes
+from insdvl_replay.checks.reference_delay import with_reference_delay
 from insdvl_replay.checks.sensors import contradiction_notes, depth_at_start_notes, sensor_notes
 from insdvl_replay.core.config import Config, Depth
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns, ReferenceColumns, SensorColumns
@@ -48,6 +49,7 @@ def said_by_checks(_: Path) -> Cases:
     yield from of_the_imu(turning)
     yield from of_the_dvl(turning)
     yield from of_the_reference(turning)
+    yield from of_late_references()
     yield from of_sensors(reference_of(simulate_dive("figure-eight", seed=1, duration_s=60.0, grade="mems")))
 
 
@@ -106,6 +108,18 @@ def of_the_reference(turning: Dive) -> Cases:
         ("a velocity of another scale", replace(exact, velocity_n=1.3 * exact.velocity_n)),
     ):
         notes = list(reference_notes(straight.imu, straight.dvl, columns))
+        yield f"a reference: {name}", noted(notes)
+
+
+def of_late_references() -> Cases:
+    dive = simulate_dive("calibration", seed=1, duration_s=200.0, grade="fog", reference_rate_hz=20.0)
+    reference = reference_of(dive)
+    late = replace(reference, time_ns=reference.time_ns + SECOND // 5)
+    rows = 6
+    velocity_n = np.roll(reference.velocity_n, rows, axis=0)
+    mixed = replace(reference, velocity_n=velocity_n).rows(slice(rows, None))
+    for name, columns in (("late", late), ("whose velocity is late", mixed)):
+        notes = list(with_reference_delay(replace(dive, reference=columns, notes=()), Config()).notes)
         yield f"a reference: {name}", noted(notes)
 
 
