@@ -23,6 +23,7 @@ import psutil
 import pytest
 from counting_work import threads_with_numpy
 from dying_work import die_always, die_at_first
+from in_process import done_here
 from msgspec.structs import replace
 from recorded_parts import write_part
 
@@ -276,7 +277,7 @@ def test_two_dives_of_one_name_are_replayed_next_to_each_other(archive: Path, tm
 def test_a_result_that_lost_a_file_is_made_again(archive: Path, results: Path, tmp_path: Path) -> None:
     shutil.copytree(results, tmp_path / "out")
     (tmp_path / "out" / "dive_2" / "report.html").unlink()
-    done = run(archive, "-o", "out", "--force", cwd=tmp_path)
+    done = done_here("run", archive, "-o", "out", "--force", cwd=tmp_path)
     assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
         "wrote out/dive_2", "wrote out/summary.csv", "wrote out/evidence.csv", "wrote out/index.html"
     ]  # fmt: skip
@@ -463,7 +464,7 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "dive_3")
     before = bytes_of(tmp_path / "out")
-    done = run(archive, "-o", "out", "--format", "csv", cwd=tmp_path)
+    done = done_here("run", archive, "-o", "out", "--format", "csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = done.stderr.splitlines()
     assert said == [
@@ -480,11 +481,11 @@ def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, res
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "dive_1")
     changed = [archive, "-o", "out", "--set", "dvl.scale=1.01"]
-    refused = run(*changed, cwd=tmp_path)
+    refused = done_here("run", *changed, cwd=tmp_path)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert refused.stderr.startswith("error: out/dive_2: ")
     assert not (tmp_path / "out" / "dive_1").exists()
-    assert run(*changed, "--force", cwd=tmp_path).returncode == 0
+    assert done_here("run", *changed, "--force", cwd=tmp_path).returncode == 0
     report = decode_report((tmp_path / "out" / "dive_2" / "report.json").read_bytes())
     assert report.config["dvl"]["scale"] == 1.01
 
@@ -569,7 +570,7 @@ def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
 def test_a_file_that_bears_an_overviews_name_is_left_alone(name: str, archive: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("my own notes\n")
-    done = run(archive, "-o", "out", cwd=tmp_path)
+    done = done_here("run", archive, "-o", "out", cwd=tmp_path)
     assert done.returncode == 2
     assert f"out/{name}: exists" in done.stderr
 
@@ -725,7 +726,7 @@ def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_
     assert done.returncode == 0, done.stderr
     assert bytes_of(tmp_path / "out") == bytes_of(results)
     assert done.stderr.splitlines()[-1] == "wrote out/index.html"
-    again = run(archive, "-o", "out", cwd=tmp_path)
+    again = done_here("run", archive, "-o", "out", cwd=tmp_path)
     assert again.stdout == done.stdout
 
 

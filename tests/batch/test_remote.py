@@ -249,21 +249,21 @@ def test_a_url_is_a_dive_whose_results_hold_nothing_that_gives_access(server: Lo
 
 
 def test_a_second_check_asks_once_for_each_dive_and_reads_no_log(tmp_path: Path) -> None:
-    with served({f"/dive_{number}.mcap": LOG for number in range(20)}) as server:
+    with served({f"/dive_{number}.mcap": LOG for number in range(8)}) as server:
         lines = [f'url = "{server.url}{path}"\nsha256 = "{SHA256}"' for path in server.logs]
         manifest(tmp_path, *lines)
         gates = tmp_path / "gates.toml"
         gates.write_text(
             'dives = ["dives.toml"]\n[[gate]]\nname = "calm"\ntable = "consistency"\ncolumn = "mean_nis"\nmax = 9\n'
         )
-        # One log under 20 names; the settings are those of one quick replay.
+        # One log under 8 names; the settings are those of one quick replay.
         command = ["check", str(gates), "--results", str(tmp_path / "out"), "--set", "evaluation.starts=1"]
         first = run_command_line(command)
-        assert server.asked.count("GET") == 20
+        assert server.asked.count("GET") == 8
         server.asked.clear()
         server.sent = 0
         assert run_command_line(command) == first
-        assert server.asked == ["HEAD"] * 20
+        assert server.asked == ["HEAD"] * 8
         assert server.sent == 0
 
 
@@ -290,7 +290,7 @@ def test_a_server_that_stalled_is_not_asked_for_other_dives(
     monkeypatch.setattr(remote, "STALLED_S", 0.2)
     monkeypatch.setattr("os.cpu_count", lambda: 1)
     server.stalls = True
-    server.logs |= {f"/{number}.mcap": LOG for number in range(20)}
+    server.logs |= {f"/{number}.mcap": LOG for number in range(8)}
     lines = [f'url = "{server.url}{path}"\nsha256 = "{SHA256}"' for path in server.logs]
     dives = fetch_dives(find_dives([manifest(tmp_path, *lines)]))
     assert sum("stalled before" in str(dive.error) for dive in dives) == 20

@@ -127,7 +127,7 @@ def test_noise_of_healthy_sensors_is_found(grade: str) -> None:
 
 def test_a_straight_line_reports_no_noise_to_be_applied() -> None:
     """What is wrong in a geometry that nobody knows would be taken for noise, unless noise alone is asked for."""
-    straight = built_in_otherwise("straight", 0)
+    straight = built_in_otherwise("straight", 0, duration_s=200.0)
     held, alone = calibrated(straight, only=("arm", "noise")), calibrated(straight, only=("noise",))
     assert {row.status for row in held.noise_rows} == {Estimated.HELD}
     assert not held.proposes_noise
@@ -255,7 +255,7 @@ def test_what_was_put_in_is_found(found: Calibration) -> None:
 
 
 def test_a_straight_line_moves_nothing_to_the_bit() -> None:
-    held = calibrated(built_in_otherwise("straight", 0))
+    held = calibrated(built_in_otherwise("straight", 0, duration_s=200.0))
     assert held.estimated == ()
     assert held.after == held.before
     assert not held.change.any()

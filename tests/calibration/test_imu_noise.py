@@ -138,7 +138,7 @@ def test_dives_that_are_still_take_nothing_from_one_that_shows_how_the_dvl_is_bu
             assert finite(row.sd) < 1.1 * finite(of_one.sd)
 
 
-@pytest.mark.parametrize("grade", ["tactical", "mems"])
+@pytest.mark.parametrize("grade", [pytest.param("tactical", marks=pytest.mark.nightly), "mems"])
 def test_slow_turns_next_to_a_noisy_imu_show_the_arm_and_no_delay(grade: str) -> None:
     found = calibrated(as_configured("figure-eight", grade, 42))
     assert "delay" not in proposed(found)
@@ -146,7 +146,7 @@ def test_slow_turns_next_to_a_noisy_imu_show_the_arm_and_no_delay(grade: str) ->
     assert np.nanmax(np.abs(errors_over_sds(found, NONE))) < 3.0
 
 
-@pytest.mark.parametrize("grade", ["tactical", "mems"])
+@pytest.mark.parametrize("grade", ["tactical", pytest.param("mems", marks=pytest.mark.nightly)])
 def test_strong_manoeuvres_show_the_delay_next_to_a_noisy_imu(grade: str) -> None:
     found = calibrated(otherwise("calibration", grade, 60))
     assert {"delay", "arm_x", "arm_y", "arm_z"} <= proposed(found)

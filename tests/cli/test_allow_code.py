@@ -69,7 +69,7 @@ def test_what_runs_filters_refuses_code_before_it_is_imported(
         ["inspect", "--deep", str(DIVE)],
         ["inspect", str(DIVE)],
         ["study", "window", str(DIVE), "--longest", "2"],
-        ["calibrate", str(TURNING), "--allow-code"],  # the baseline alone is run
+        ["calibrate", str(TURNING), "--set", "span.end_s=200", "--allow-code"],  # the baseline alone is run
     ],
 )
 def test_what_runs_no_filter_runs_no_code(

@@ -1,6 +1,5 @@
 """Text from a log, a file's name or a setting never acts: bytes of every output of commands on a hostile dive."""
 
-import contextlib
 import csv
 import io
 import json
@@ -12,6 +11,7 @@ import unicodedata
 from pathlib import Path
 
 import pytest
+from in_process import done_here
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
@@ -74,11 +74,9 @@ def spoken(arguments: list[str], cwd: Path, code: int) -> tuple[str, str]:
 
 def said(arguments: list[str], cwd: Path, code: int) -> tuple[str, str]:
     """Run the tool in this process, where a process of its own has shown already that its streams are the same."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.chdir(cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        found = run_command_line(arguments)
-    assert found == code, err.getvalue()
-    return out.getvalue(), err.getvalue()
+    done = done_here(*arguments, cwd=cwd)
+    assert done.returncode == code, done.stderr
+    return done.stdout, done.stderr
 
 
 def assert_plain(text: str) -> None:
