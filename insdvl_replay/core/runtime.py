@@ -200,7 +200,14 @@ def _cache_class() -> Any:
     class Locator(UserProvidedCacheLocator):
         def __init__(self, function: Any, file: str) -> None:
             self._py_file, self._lineno = file, function.__code__.co_firstlineno
-            self._cache_path = str(cache_folder() / self.get_suitable_cache_subpath(file))  # type: ignore[no-untyped-call]
+            self._cache_path = str(cache_folder() / self._subfolder(Path(file)))
+
+        def _subfolder(self, file: Path) -> str:
+            """Name the package's own code alike wherever it is installed: its digest has named the folder already."""
+            package = Path(__file__).parents[1]
+            if file.is_relative_to(package):
+                return "_".join(file.parent.relative_to(package.parent).parts)
+            return str(self.get_suitable_cache_subpath(str(file)))  # type: ignore[no-untyped-call]
 
         @classmethod
         def from_function(cls, function: Any, file: str) -> Any:

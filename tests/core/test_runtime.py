@@ -4,6 +4,7 @@ import ast
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pytest
 
 from insdvl_replay.cli.screen import compiling
 from insdvl_replay.core import runtime
+from insdvl_replay.nav import filter as nav_filter
 
 PROCESSES = 4
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
@@ -103,6 +105,24 @@ def squares(cache: Path, script: Path) -> tuple[int, str]:
     assert done.returncode == 0, done.stderr
     hits, folder = done.stdout.split()
     return int(hits), folder
+
+
+PLACE_OF_FILTER = """
+from insdvl_replay.nav import filter
+print(filter.__file__, filter._run._cache.cache_path)
+"""
+
+
+def test_code_is_found_again_wherever_the_package_is_installed(tmp_path: Path) -> None:
+    """It is known by the digest of its sources: a second environment with the same ones compiles nothing."""
+    package = Path(runtime.__file__).parents[1]
+    shutil.copytree(package, tmp_path / package.name, ignore=shutil.ignore_patterns("__pycache__"))
+    command = [sys.executable, "-c", PLACE_OF_FILTER]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    file, place = done.stdout.split()
+    assert Path(file).is_relative_to(tmp_path)
+    assert place == nav_filter._run._cache.cache_path  # type: ignore[attr-defined]
 
 
 def files_in(folder: Path) -> list[Path]:

@@ -230,7 +230,8 @@ def test_log_without_messages() -> None:
     "name",
     [
         "ufmil/run_1", "ufmil/run_2", "stanford_auv/x_1", "stanford_auv/rotation_z_1", "stanford_auv/static",
-        "blueye_x3/car_left_back_json", "blueye_x3/auto_square", "blueye_x3/grid_gyro_scale_wrong",
+        pytest.param("blueye_x3/car_left_back_json", marks=pytest.mark.nightly), "blueye_x3/auto_square",
+        "blueye_x3/grid_gyro_scale_wrong",
     ],
 )  # fmt: skip
 def test_proposal_is_a_file_that_replays_a_real_log_once_the_start_is_known(name: str, tmp_path: Path) -> None:
