@@ -428,8 +428,8 @@ COLUMNS: Final = {
 ABOUT: Final = {
     "pairs": (
         "Equal pairs and true changes. A wrong word on equal pairs is better or worse. Opposite is *worse* of a true "
-        f"0.8 or *better* of a true 1.25, whichever is more frequent; at most {MOST_OPPOSITE_PCT:g} % is asked. Nothing "
-        "is asked of the exponential distribution."
+        f"0.8 or *better* of a true 1.25, whichever is more frequent; at most {MOST_OPPOSITE_PCT:g} % is asked. "
+        "Nothing is asked of the exponential distribution."
     ),
     "vehicles": (
         "Vehicles that differ. With one or two vehicles the truth is the mean of these; with more it is that of all "
