@@ -6,7 +6,6 @@ variable names, so that a class also finds it in a process of its own.
 """
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -15,7 +14,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.core.config import Config, Filter, Initial, Vector
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, ReferenceColumns, TimeNs
 from insdvl_replay.core.history import History
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.rotation import mat_from_rpy, mat_from_vector, vector_from_mat
@@ -30,6 +29,7 @@ CASE: Final = "SCATTER_CASE"
 CASE_FILE, EXACT_FILE = "case.json", "exact.npz"
 EVERY_SAMPLE: Final = 5
 """A solution has a row for every so many samples of the IMU: those of the reference are among them."""
+PLAIN_STATES: Final = 12
 NO_TURN: Final[Vector] = (0.0, 0.0, 0.0)
 
 
@@ -60,8 +60,13 @@ class Case(msgspec.Struct, frozen=True):
 def write_case(folder: Path, case: Case, exact: ReferenceColumns) -> None:
     """Write what the filters of this dive are told, and how the vehicle truly moved; later runs find it."""
     (folder / CASE_FILE).write_bytes(msgspec.json.encode(case))
-    motion = {"position": exact.position, "velocity_n": exact.velocity_n, "mat_nb": exact.mat_nb}
-    np.savez(folder / EXACT_FILE, time_ns=exact.time_ns, **motion)
+    np.savez(
+        folder / EXACT_FILE,
+        time_ns=exact.time_ns,
+        position=exact.position,
+        velocity_n=exact.velocity_n,
+        mat_nb=exact.mat_nb,
+    )
     os.environ[CASE] = str(folder)
 
 
@@ -159,9 +164,8 @@ def rows_of_solution(sample_ns: TimeNs, start_ns: int, end_ns: int) -> TimeNs:
 
 def _plain(start: CandidateStart) -> Start:
     """Give the state and its uncertainty alone."""
-    size = 12
-    columns: Sequence[Floats] = (start.position, start.velocity_n, start.mat_nb, start.cov[:size, :size])
-    return Start(*columns, start.accel_bias_b, start.gyro_bias_b)
+    cov = start.cov[:PLAIN_STATES, :PLAIN_STATES]
+    return Start(start.position, start.velocity_n, start.mat_nb, cov, start.accel_bias_b, start.gyro_bias_b)
 
 
 class First(OtherSensors):

@@ -1,8 +1,8 @@
-"""How often the verdict over several dives is right, wrong or undecided where filters differ by constants of a dive.
+"""How often the verdict is right, wrong or undecided where two filters differ by constants that are drawn once a dive.
 
-`python benchmarks/scatter_judge.py` writes the part of the page of results. Each dive of a world is written to a log and
-replayed once, as a user's would be. Groups of 3, 5 and 8 dives are then drawn from them, and the tool says its word on
-each group. What is true is told by `scatter_worlds`. `--keep FILE` stores what was found in each dive, and `--kept
+`python benchmarks/scatter_judge.py` writes the part of the page of results. Each dive of a world is written to a log
+and replayed once, as a user's would be. Groups of 3, 5 and 8 dives are then drawn from them, and the tool says its word
+on each group. What is true is told by `scatter_worlds`. `--keep FILE` stores what was found in each dive, and `--kept
 FILE` judges it again without any replay.
 """
 
@@ -25,6 +25,7 @@ from judged import Found, Record, classes_run_here, level_of, log_ratio_of, over
 from results import machine, table, write_part
 from scatter_filters import Case, write_case
 from scatter_worlds import (
+    DURATION_S,
     SEED,
     WORLDS,
     ScatterWorld,
@@ -40,17 +41,14 @@ from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import replay_dive
 
-DIVES: Final = 64
-TRUTH_DIVES: Final = 96
+DIVES: Final = 60
+TRUTH_DIVES: Final = 120
 """So many more dives tell the truth of worlds in which it is not known beforehand."""
 SIZES: Final = (3, 5, 8)
 GROUPS: Final = 200
 """Groups of each size that are drawn from the dives of a world."""
 MARGIN: Final = 1.05
 LARGE: Final = 1.1
-SHARED: Final = ("position", "outage_30s", "outage_60s", "drift_60s", "level", "heading")
-"""Quantities of the tool that are true errors of the same name."""
-
 Outcome = Literal["right", "wrong", "mixed", "undecided"]
 OUTCOMES: Final[tuple[Outcome, ...]] = ("right", "wrong", "mixed", "undecided")
 
@@ -130,7 +128,8 @@ class Truth(NamedTuple):
             return "better"
         if self.low >= MARGIN:
             return "worse"
-        return "same" if 1.0 / MARGIN < self.low and self.high < MARGIN else "?"
+        is_within = self.low > 1.0 / MARGIN and self.high < MARGIN
+        return "same" if is_within else "?"
 
 
 def truth_of(world: ScatterWorld, ratio: TrueRatio) -> Truth:
@@ -257,24 +256,32 @@ class Question(NamedTuple):
 
 
 EQUAL: Final = ("two compasses", "two mountings", "two IMUs", "equal on average", "late: two compasses")
+CHANGED: Final = ("errors times", "a mounting", "baseline's R")
+FIVE_PCT, ONE_PCT, NONE, ALL = (5.0,) * 3, (1.0,) * 3, (0.0,) * 3, (100.0,) * 3
+
+
+def _equal(scatter: str) -> Question:
+    names = tuple(f"{kind}, s {scatter}" for kind in EQUAL[:3])
+    return Question(f"equal pairs, s {scatter}, a word", names, "wrong", FIVE_PCT)
+
+
 QUESTIONS: Final = (
-    *(
-        Question(f"equal pairs, s {scatter}, a word", tuple(f"{kind}, s {scatter}" for kind in EQUAL[:3]), "wrong", (5.0,) * 3)
-        for scatter in ("0.1", "0.2", "0.5")
-    ),
-    Question("equal pairs, all, a word", EQUAL, "wrong", (5.0,) * 3),
-    Question("five at once, none differs, any has a word", ("five compasses",), "any wrong", (5.0,) * 3),
+    _equal("0.1"),
+    _equal("0.2"),
+    _equal("0.5"),
+    Question("equal pairs, all, a word", EQUAL, "wrong", FIVE_PCT),
+    Question("five at once, none differs, any has a word", ("five compasses",), "any wrong", FIVE_PCT),
     Question("errors times 0.8, s 0.1, found", ("errors times 0.8, s 0.1",), "right", (35.0, 80.0, 97.0), True),
     Question("errors times 0.8, s 0.2, found", ("errors times 0.8, s 0.2",), "right", (13.0, 30.0, 54.0), True),
-    Question("true changes, all, found", ("errors times", "a mounting", "baseline's R"), "right"),
-    Question("true changes, all, opposite sign", ("errors times", "a mounting", "baseline's R"), "opposite", (1.0,) * 3),
-    Question("start headings, opposite sign", ("a compass",), "opposite", (1.0,) * 3),
-    Question("late references, wrong", ("late: R",), "wrong", (5.0,) * 3),
-    Question("copies, a word", ("a copy",), "wrong", (0.0,) * 3),
-    Question("copies, said to be the same", ("a copy",), "right", (100.0,) * 3, True),
-    Question("baseline 800 times too large, a word", ("baseline's noise",), "wrong", (0.0,) * 3),
-    Question("another answer each time, a word", ("another answer",), "wrong", (0.0,) * 3),
-)  # fmt: skip
+    Question("true changes, all, found", CHANGED, "right"),
+    Question("true changes, all, opposite sign", CHANGED, "opposite", ONE_PCT),
+    Question("start headings, opposite sign", ("a compass",), "opposite", ONE_PCT),
+    Question("late references, wrong", ("late: R",), "wrong", FIVE_PCT),
+    Question("copies, a word", ("a copy",), "wrong", NONE),
+    Question("copies, said to be the same", ("a copy",), "right", ALL, True),
+    Question("baseline 800 times too large, a word", ("baseline's noise",), "wrong", NONE),
+    Question("another answer each time, a word", ("another answer",), "wrong", NONE),
+)
 ALLOWED_ERRORS: Final = 3.0
 
 
@@ -345,13 +352,23 @@ def missed_pct(pair: JudgedPair, size: int) -> str:
     return f"{100.0 * off / len(known):.0f}"
 
 
+def spoken_alone(pair: JudgedPair) -> int:
+    """Count the single dives that have a word of gain or loss."""
+    return sum(count for word, count in pair.words[1].items() if plain(word) in ("better", "worse", "mixed"))
+
+
+def one_dive_words(pairs: Sequence[JudgedPair]) -> tuple[int, int]:
+    """Count single dives of equal pairs: those with a word of gain or loss, and all."""
+    equal = [pair for pair in pairs if pair.world.kind == "equal"]
+    return sum(spoken_alone(pair) for pair in equal), sum(pair.words[1].total() for pair in equal)
+
+
 def world_row(pair: JudgedPair) -> str:
     """Write the row of one candidate in one world."""
     several = len(pair.world.candidates) > 1
     name = f"{pair.world.name}: {pair.candidate}" if several else pair.world.name
     mean, scatter = pair.reported
-    spoken = sum(pair.words[1][word] for word in pair.words[1] if plain(word) in ("better", "worse", "mixed"))
-    one_dive = f"{100.0 * spoken / max(pair.words[1].total(), 1):.0f}"
+    one_dive = f"{100.0 * spoken_alone(pair) / max(pair.words[1].total(), 1):.0f}"
     cells = [shares(pair.outcomes(size)) for size in SIZES]
     missed = " / ".join(missed_pct(pair, size) or "-" for size in SIZES)
     true = pair.ratios[pair.world.primary]
@@ -371,39 +388,45 @@ def truth_row(pair: JudgedPair) -> str:
     return f"| {name} | {' | '.join(cells)} |"
 
 
+ABOUT: Final = (
+    "Two filters with two compasses, mountings or IMUs of the same kind are equal, since they could be exchanged. The "
+    "truth of other pairs is the geometric mean of the ratios of their dives, and of more dives that are not replayed, "
+    "against the exact motion and from the start that the dive has. A star marks what is not as asked."
+)
+OF_WORLDS: Final = (
+    "Truth, its value with the interval of 95 %, and the scatter s of the log ratio from dive to dive; the mean and "
+    "scatter that the tool reports; dives that have a word by themselves, in percent. Then right / wrong / mixed / "
+    "undecided in percent of the groups, and intervals of the quantity that do not hold the truth with 3 / 5 / 8 "
+    "dives, in percent."
+)
+COLUMNS: Final = (
+    *("world", "truth", "by", "true ratio", "reported", "one dive"),
+    *(f"{size} dives" for size in SIZES),
+    "missed",
+)
+
+
 def page(pairs: Sequence[JudgedPair], dives: Sequence[JudgedDive], took_s: float, groups: int) -> tuple[str, bool]:
     """Write the part of the page of results; and say whether all rates are as asked."""
     replayed = [dive for dive in dives if dive.records]
     each = max(Counter(dive.world for dive in replayed).values())
     rates, all_met = rate_rows(pairs, each)
+    took_each_s = float(np.mean([dive.replay_s for dive in replayed]))
     about = (
-        f"{each} dives of 240 s in each world, replayed from their logs in {np.mean([d.replay_s for d in replayed]):.2f} s "
-        f"of processor time each. {groups} groups of 3, 5 and 8 dives are drawn from them. Two filters with two compasses, "
-        "mountings or IMUs of the same kind are equal, since they could be exchanged. The truth of other pairs is the "
-        "geometric mean of the ratios of their dives, with more dives that are not replayed, against the exact motion and "
-        "from the start that the dive has. A star marks what is not as asked."
+        f"{each} dives of {DURATION_S:g} s in each world, replayed from their logs in {took_each_s:.2f} s of processor "
+        f"time each. {groups} groups of 3, 5 and 8 dives are drawn from them. {ABOUT}"
     )
-    of_worlds = (
-        "Truth, its value with the interval of 95 %, and the scatter s of the log ratio from dive to dive; the mean and "
-        "scatter that the tool reports; dives that have a word by themselves, in percent. Then right / wrong / mixed / "
-        "undecided in percent of the groups, and intervals of the quantity that do not hold the truth with 3 / 5 / 8 "
-        "dives, in percent."
+    spoken, said = one_dive_words(pairs)
+    one_dive = (
+        f"Single dives of equal pairs that have a word of gain or loss: {spoken} of {said} (asked: none). One dive "
+        "cannot tell what the next one will show."
     )
-    columns = (
-        "world",
-        "truth",
-        "by",
-        "true ratio",
-        "reported",
-        "one dive",
-        *(f"{size} dives" for size in SIZES),
-        "missed",
-    )
+    all_met &= spoken == 0
     lines = [
         *("# Judgement: dives that scatter", "", about, ""),
         *table(("", *(cell for size in SIZES for cell in (f"{size} dives [%]", "asked"))), rates),
-        *("", of_worlds, ""),
-        *table(columns, [world_row(pair) for pair in pairs]),
+        *("", one_dive, "", OF_WORLDS, ""),
+        *table(COLUMNS, [world_row(pair) for pair in pairs]),
         *("", "What is true of all quantities: geometric mean and scatter.", ""),
         *table(("world", *TrueErrors._fields), [truth_row(pair) for pair in pairs]),
         *("", f"{machine()}; {took_s:.0f} s."),
