@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from insdvl_replay.checks.fingerprint import imu_fingerprint
 from insdvl_replay.checks.reference_delay import with_reference_delay
 from insdvl_replay.checks.sensors import contradiction_of_filter
 from insdvl_replay.core.config import Config
@@ -94,7 +95,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     # Prepare: span, start, and what each filter measures; then random starts and windows without the DVL.
     if dive.reference_delay is None:
         dive = with_reference_delay(dive, config)
-    dive = with_reference_at_imu(dive, config)
+    dive = replace(with_reference_at_imu(dive, config), imu_fingerprint=imu_fingerprint(dive.imu))
     prepared = prepare_with_heading(dive, config)
     plan = plan_runs(dive, prepared, config)
 

@@ -36,6 +36,7 @@ class FoundDive:
     url: str = ""
     sha256: str = ""  # that it must have
     settings: Path | None = None  # of this dive
+    vehicle: str = ""  # that made it; empty: the settings say which
     error: UserError | None = None  # why it cannot be used
 
     @property

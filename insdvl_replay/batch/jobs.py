@@ -83,6 +83,12 @@ class ReplayJob:
     replaces: bool = False  # a result was there when the replay was asked for; what comes meanwhile stays
     sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
     error: UserError | None = None  # why the dive cannot be had
+    vehicle: str = ""  # that its manifest names
+
+    @property
+    def config(self) -> Config:
+        """The settings of its replay, with the vehicle of its own."""
+        return self.options.config.of_vehicle(self.vehicle)
 
 
 @dataclass(frozen=True)
@@ -106,11 +112,13 @@ def plan_jobs(
     logs = [tuple(dive.path for dive in dives)] if one_dive else [(dive.path,) for dive in dives]
     firsts, givers = [first for first, *_ in logs], [dive.name_giver for dive in dives]
     files, errors = [dive.settings for dive in dives], [dive.error for dive in dives]
+    vehicles = [dive.vehicle for dive in dives]
     if one_dive and len(dives) > 1:
         from insdvl_replay.logs import name_giver  # heavy
 
         firsts, givers = [name_giver(logs[0])], [name_giver(givers)]
         files, errors = [shared_settings(dives, "--one-dive")], [next((error for error in errors if error), None)]
+        vehicles = [next(filter(None, vehicles), "")]
     own: dict[Path | None, ReplayOptions] = {
         file: replace(options, config=config, require_fit=False, blocked_by="")
         for file, config in configs.items()
@@ -119,9 +127,11 @@ def plan_jobs(
     return [
         ReplayJob(
             log, first, output / name, own.get(file, options),
-            replaces=os.path.lexists(output / name), error=error,
+            replaces=os.path.lexists(output / name), error=error, vehicle=vehicle,
         )
-        for log, first, name, file, error in zip(logs, firsts, unique_names(givers), files, errors, strict=True)
+        for log, first, name, file, error, vehicle in zip(
+            logs, firsts, unique_names(givers), files, errors, vehicles, strict=True
+        )
     ]  # fmt: skip
 
 
@@ -192,7 +202,7 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             and report.log.name == job.target.name
             and (CONTROL_NOTE in codes) == options.control
             and (DAMAGE_NOTE not in codes or options.allow_damaged)
-            and msgspec.json.encode(config) == msgspec.json.encode(options.config)
+            and msgspec.json.encode(config) == msgspec.json.encode(job.config)
             and wanted <= set(report.files)
             and log_digest(job) == report.log.sha256
         )
@@ -219,7 +229,7 @@ def _made_otherwise(job: ReplayJob) -> str:
     options = job.options
     try:
         stored = msgspec.json.decode(read_file(job.target / COMPLETE), type=StoredReport)
-        configs = _settings_before_the_fit(stored.config, stored.notes), msgspec.to_builtins(options.config)
+        configs = _settings_before_the_fit(stored.config, stored.notes), msgspec.to_builtins(job.config)
         was_fitted = any(note.code == CONTROL_NOTE for note in stored.notes)
         # The keys of a filter that only one side has say nothing more than its name.
         one_sided = tuple(f"filters.{name}." for name in {*configs[0]["filters"]} ^ {*configs[1]["filters"]})
@@ -353,7 +363,7 @@ def replay_into(job: ReplayJob) -> bytes:
 
         run = replay_with_tuned_baseline
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
-    replay = run(job.logs, options.config, allow_damaged=options.allow_damaged, name=job.target.name)
+    replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=job.target.name)
     if options.found:
         replay = replace(replay, notes=(*options.found, *replay.notes))
     if job.sha256 is not None and replay.dive.sha256 != job.sha256:

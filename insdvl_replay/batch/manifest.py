@@ -31,6 +31,7 @@ class ManifestDive(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     url: str = ""  # of a log
     sha256: Annotated[str, Meta(pattern="^([0-9a-fA-F]{64})?$")] = ""  # of the log, as a report has it
     settings: str = ""  # a file for -c, relative to the manifest
+    vehicle: str = ""  # that made it, instead of `vehicle.name` of the settings
     licence: str = ""  # for people
     faults: str = ""  # for people
     tags: tuple[str, ...] = ()
@@ -69,8 +70,8 @@ def _found(dive: ManifestDive, file: Path) -> FoundDive:
     sha256, settings = dive.sha256.lower(), file.parent / dive.settings if dive.settings else None
     if dive.url:
         with error_context(file):
-            return dive_of_url(dive.url, sha256, settings)
-    return FoundDive(file.parent / dive.path, "", sha256, settings)
+            return replace(dive_of_url(dive.url, sha256, settings), vehicle=dive.vehicle)
+    return FoundDive(file.parent / dive.path, "", sha256, settings, dive.vehicle)
 
 
 def fetch_dives(dives: Sequence[FoundDive], *, offline: bool = False) -> list[FoundDive]:

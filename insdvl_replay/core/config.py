@@ -38,6 +38,12 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A table of the configuration."""
 
 
+class Vehicle(Section, frozen=True):
+    """Which vehicle made the dive."""
+
+    name: Annotated[str, Comment("dives with the same name are of one vehicle; left empty: all are")] = ""
+
+
 class Imu(Section, frozen=True):
     """Where the specific force and angular rate come from."""
 
@@ -466,6 +472,7 @@ class Topic(Section, frozen=True):
 class Config(Section, frozen=True):
     """All settings of a replay."""
 
+    vehicle: Vehicle = Vehicle()
     imu: Imu = Imu()
     dvl: Dvl = Dvl()
     depth: Depth = Depth()
@@ -526,6 +533,10 @@ class Config(Section, frozen=True):
         """Return the settings of one dive, with the DVL latency of this dive."""
         latency_s = dict(self.dvl.latency_of_dives_s).get(name, self.dvl.latency_s)
         return msgspec.structs.replace(self, dvl=msgspec.structs.replace(self.dvl, latency_s=latency_s))
+
+    def of_vehicle(self, name: str) -> "Config":
+        """Return the settings of a dive of this vehicle; an empty name leaves theirs."""
+        return msgspec.structs.replace(self, vehicle=Vehicle(name=name)) if name else self
 
     def without_solutions(self) -> "Config":
         """Return the settings without filters that read a solution."""

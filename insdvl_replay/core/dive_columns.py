@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_record import Channel, ReferenceDelay
+from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay
 from insdvl_replay.core.errors import Note
 
 Floats = NDArray[np.float64]
@@ -261,4 +261,5 @@ class Dive:
     paths: tuple[Path, ...] = ()  # of the log's files
     channels: tuple[Channel, ...] = ()  # what the log holds
     reference_delay: ReferenceDelay | None = None  # None: nobody has looked
+    imu_fingerprint: ImuFingerprint | None = None  # of all samples; None: not taken yet
     notes: tuple[Note, ...] = field(default=())  # what was dropped, assumed or found odd while reading

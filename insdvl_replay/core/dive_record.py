@@ -72,6 +72,16 @@ class ReferenceDelay:
         return self.status == DelayStatus.DETERMINED
 
 
+@dataclass(frozen=True)
+class ImuFingerprint:
+    """Digests of single samples of an IMU, by which a copy or a part of a dive is known."""
+
+    first_ns: int  # of the IMU's samples, on the log's clock
+    last_ns: int
+    at_s: tuple[int, ...] = ()  # whole seconds of the log's clock, at or after which the first sample is digested
+    digests: tuple[str, ...] = ()
+
+
 def dive_name(path: Path) -> str:
     """Name a dive after its file without the ending, or after its folder, in whose name a dot may be of a date."""
     whole = _whole(path)

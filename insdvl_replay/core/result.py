@@ -35,7 +35,7 @@ from msgspec.structs import astuple
 
 from insdvl_replay import __version__
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_record import Channel, ReferenceDelay
+from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import CandidateVerdict, Tables
@@ -349,6 +349,13 @@ class Report(Struct, frozen=True):
             "early reports, which did not look"
         ),
     ] = None
+    vehicle: Annotated[
+        str, Meta(description="that made the dive, as its manifest or vehicle.name says; empty: nobody said")
+    ] = ""
+    imu_fingerprint: Annotated[
+        ImuFingerprint | None,
+        Meta(description="digests of samples of the IMU, by which copies of a dive are known; null in early reports"),
+    ] = None
     files: Files = {}
 
 
@@ -374,6 +381,8 @@ def build_report(
         config=msgspec.to_builtins(config),
         code={word: _code_file(word) for word in config.code},
         reference_delay=dive.reference_delay,
+        vehicle=config.vehicle.name,
+        imu_fingerprint=dive.imu_fingerprint,
     )
 
 
@@ -438,6 +447,8 @@ class StoredReport(Struct, frozen=True):
     notes: list[Note] = []
     config: dict[str, Any] = {}
     reference_delay: ReferenceDelay | None = None
+    vehicle: str = ""
+    imu_fingerprint: ImuFingerprint | None = None
 
 
 @dataclass(frozen=True)

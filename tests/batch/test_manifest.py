@@ -99,6 +99,28 @@ def test_each_dive_has_its_own_settings_below_those_of_c(tmp_path: Path) -> None
     assert run_command_line(["calibrate", listed]) == 2
 
 
+def test_the_vehicle_of_a_dive_is_that_of_its_manifest_else_of_its_settings(tmp_path: Path) -> None:
+    for name in ("a", "b", "c"):
+        (tmp_path / f"{name}.mcap").write_bytes(LOG)
+    (tmp_path / "own.toml").write_text('[vehicle]\nname = "of settings"\n')
+    listed = manifest(
+        tmp_path,
+        'path = "a.mcap"\nvehicle = "of manifest"\nsettings = "own.toml"',
+        'path = "b.mcap"\nsettings = "own.toml"',
+        'path = "c.mcap"',
+    )
+    output = tmp_path / "out"
+    command = ["run", listed, "-o", str(output), "--starts", "1", "--no-auto"]
+    assert run_command_line(command) == 0
+    reports = {name: json.loads((output / name / "report.json").read_text()) for name in ("a", "b", "c")}
+    vehicles = {name: report["vehicle"] for name, report in reports.items()}
+    assert vehicles == {"a": "of manifest", "b": "of settings", "c": ""}
+    assert reports["a"]["config"]["vehicle"] == {"name": "of manifest"}
+    assert run_command_line(command) == 0
+    again = json.loads((output / "a" / "report.json").read_text())
+    assert again["tool"]["started_at"] == reports["a"]["tool"]["started_at"], "the same vehicle is no other setting"
+
+
 def test_settings_that_are_not_there_end_with_2(tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(LOG)
     listed = manifest(tmp_path, 'path = "a.mcap"\nsettings = "none.toml"')

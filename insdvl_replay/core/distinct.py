@@ -1,0 +1,126 @@
+"""Which of several results are of dives of their own: copies count once, and parts of one recording are told.
+
+Dives are the same if their logs are, or if the IMU's readings are equal where their times overlap, whatever the logs
+are called and however they are encoded.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final, Protocol, TypeVar
+
+from insdvl_replay.core.dive_record import ImuFingerprint
+from insdvl_replay.core.errors import Note, listed
+from insdvl_replay.core.words import Severity
+
+LEAST_EQUAL: Final = 0.5  # share of the samples of a time that both have; rounding changes a few
+CONTINUED_S: Final = 5.0  # between the end of one file and the beginning of the next
+
+
+class LoggedDive(Protocol):
+    """What a result tells of its log."""
+
+    @property
+    def name(self) -> str:
+        """Name of the dive."""
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the log; empty if it was no file."""
+
+
+class DiveReport(Protocol):
+    """A result of this or another version."""
+
+    @property
+    def log(self) -> LoggedDive:
+        """The log that was replayed."""
+
+    @property
+    def imu_fingerprint(self) -> ImuFingerprint | None:
+        """Digests of its IMU; None in early results."""
+
+    @property
+    def vehicle(self) -> str:
+        """Which vehicle made it; empty if nobody said."""
+
+
+AnyReport = TypeVar("AnyReport", bound=DiveReport)
+
+
+def distinct_dives(reports: Sequence[AnyReport]) -> tuple[list[AnyReport], list[Note]]:
+    """Return a report for each dive, in their order, and notes of what is the same dive or the next part of one.
+
+    Of several reports of a dive the one with the longest log is kept, of equal ones the first.
+    """
+    first_of = list(range(len(reports)))  # the first known report of the same dive, by report
+    seen: dict[object, list[int]] = {}  # reports by what two of one dive have in common
+    for number, report in enumerate(reports):
+        keys = _keys(report)
+        alike = {other for key in keys for other in seen.get(key, ())}
+        same = {first_of[other] for other in alike if is_same_dive(report, reports[other])}
+        first = min(same, default=number)
+        if same:
+            first_of = [first if known in same or known == number else known for known in first_of]
+        for key in keys:
+            seen.setdefault(key, []).append(number)
+    kept: list[AnyReport] = []
+    notes: list[Note] = []
+    groups: dict[int, list[AnyReport]] = {}
+    for first, report in zip(first_of, reports, strict=True):
+        groups.setdefault(first, []).append(report)
+    for group in groups.values():
+        longest = max(group, key=_length_ns)
+        kept.append(longest)
+        if len(group) > 1:
+            notes.append(_same_note(group, longest))
+    return kept, [*notes, *_continued_notes(kept)]
+
+
+def _keys(report: DiveReport) -> set[object]:
+    """Return digests, of which two reports of one dive have at least one in common."""
+    found = report.imu_fingerprint
+    samples = zip(found.at_s, found.digests, strict=True) if found is not None else ()
+    return {*samples, report.log.sha256} - {""}
+
+
+def is_same_dive(one: DiveReport, other: DiveReport) -> bool:
+    """Return whether two results are of the same log, or of IMUs with equal readings at overlapping times."""
+    if one.log.sha256 and one.log.sha256 == other.log.sha256:
+        return True
+    ours, theirs = one.imu_fingerprint, other.imu_fingerprint
+    if ours is None or theirs is None:
+        return False
+    known = dict(zip(ours.at_s, ours.digests, strict=True))
+    both = [(known[at_s], digest) for at_s, digest in zip(theirs.at_s, theirs.digests, strict=True) if at_s in known]
+    equal = sum(our_digest == their_digest for our_digest, their_digest in both)
+    return bool(both) and equal >= LEAST_EQUAL * len(both)
+
+
+def _length_ns(report: DiveReport) -> int:
+    found = report.imu_fingerprint
+    return 0 if found is None else found.last_ns - found.first_ns
+
+
+def _same_note(group: Sequence[DiveReport], kept: DiveReport) -> Note:
+    others = [report.log.name for report in group if report is not kept]
+    are = "is" if len(others) == 1 else "are"
+    text = f"{listed(others)} {are} the same dive as {kept.log.name}, which counts once"
+    return Note("dives_same", text, len(others), Severity.WARNING, "leave copies and parts of a dive out")
+
+
+def _continued_notes(reports: Sequence[DiveReport]) -> list[Note]:
+    """Note dives that begin where another one of the same vehicle ends."""
+    ends: dict[str, list[tuple[ImuFingerprint, str]]] = {}
+    for report in reports:
+        if report.imu_fingerprint is not None:
+            ends.setdefault(report.vehicle, []).append((report.imu_fingerprint, report.log.name))
+    notes = []
+    for parts in ends.values():
+        ordered = sorted(parts, key=lambda part: part[0].first_ns)
+        for (before, ended), (after, begun) in pairwise(ordered):
+            pause_s = (after.first_ns - before.last_ns) * 1e-9
+            if 0.0 <= pause_s <= CONTINUED_S:
+                text = f"{begun} begins {pause_s:.1f} s after the end of {ended}: one dive that counts as two?"
+                hint = "replay the files of one recording together: --one-dive"
+                notes.append(Note("dives_continue", text, 1, Severity.WARNING, hint))
+    return notes

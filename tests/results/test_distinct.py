@@ -1,0 +1,132 @@
+"""Copies of a dive are known from their reports alone, whatever they are called and however they are encoded."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from insdvl_replay.checks.fingerprint import MOST_DIGESTS, imu_fingerprint
+from insdvl_replay.core.distinct import distinct_dives
+from insdvl_replay.core.dive_columns import ImuColumns, nanoseconds
+from insdvl_replay.core.dive_record import ImuFingerprint
+from insdvl_replay.sim.dive import simulate_dive
+
+
+@dataclass(frozen=True)
+class Logged:
+    name: str
+    sha256: str = ""
+
+
+@dataclass(frozen=True)
+class Made:
+    log: Logged
+    imu_fingerprint: ImuFingerprint | None = None
+    vehicle: str = ""
+
+
+def made(name: str, imu: ImuColumns | None, sha256: str = "", vehicle: str = "") -> Made:
+    return Made(Logged(name, sha256), None if imu is None else imu_fingerprint(imu), vehicle)
+
+
+def names(reports: list[Made]) -> tuple[list[str], list[str]]:
+    kept, notes = distinct_dives(reports)
+    return [report.log.name for report in kept], [note.code for note in notes]
+
+
+def moved(imu: ImuColumns, by_s: float) -> ImuColumns:
+    return replace(imu, time_ns=imu.time_ns + nanoseconds(by_s))
+
+
+def between(imu: ImuColumns, from_s: float, to_s: float) -> ImuColumns:
+    begin_ns = int(imu.time_ns[0])
+    return imu.within(begin_ns + nanoseconds(from_s), begin_ns + nanoseconds(to_s))
+
+
+@pytest.fixture(scope="module")
+def imu() -> ImuColumns:
+    return simulate_dive("figure-eight", seed=1, duration_s=200.0, grade="mems").imu
+
+
+def single_precision(imu: ImuColumns) -> ImuColumns:
+    force_b = imu.specific_force_b.astype(np.float32).astype(np.float64)
+    rate_b = imu.angular_rate_b.astype(np.float32).astype(np.float64)
+    return replace(imu, specific_force_b=force_b, angular_rate_b=rate_b)
+
+
+def in_text(imu: ImuColumns) -> ImuColumns:
+    """Round as a table does: six decimals, and times in seconds since 1970 as a float."""
+    time_ns = np.rint((imu.time_ns * 1e-9) * 1e9).astype(np.int64)
+    return ImuColumns(time_ns, np.round(imu.specific_force_b, 6), np.round(imu.angular_rate_b, 6))
+
+
+def other_axes(imu: ImuColumns) -> ImuColumns:
+    flip = np.array([1.0, -1.0, -1.0])
+    return replace(imu, specific_force_b=imu.specific_force_b * flip, angular_rate_b=imu.angular_rate_b * flip)
+
+
+def cut(imu: ImuColumns) -> ImuColumns:
+    return between(imu, 61.0, 133.0)
+
+
+@pytest.mark.parametrize("change", [single_precision, in_text, other_axes, cut])
+def test_a_copy_counts_once(imu: ImuColumns, change: Callable[[ImuColumns], ImuColumns]) -> None:
+    other = simulate_dive("figure-eight", seed=2, duration_s=200.0, grade="mems").imu
+    reports = [made("copy", change(imu), "b"), made("whole", imu, "a"), made("other", other, "c")]
+    kept, codes = names(reports)
+    assert codes == ["dives_same"]
+    assert kept == ["whole" if change is cut else kept[0], "other"]
+
+
+def test_a_copy_under_another_name_counts_once_without_fingerprint_too() -> None:
+    kept, codes = names([made("a", None, "same"), made("b", None, "same"), made("c", None, "other"), made("d", None)])
+    assert kept == ["a", "c", "d"]
+    assert codes == ["dives_same"]
+
+
+def test_parts_that_overlap_a_third_are_all_one_dive(imu: ImuColumns) -> None:
+    first, last = made("first", between(imu, 0.0, 80.0)), made("last", between(imu, 120.0, 200.0))
+    bridge = made("bridge", between(imu, 50.0, 180.0))
+    assert names([first, last])[0] == ["first", "last"]
+    assert names([first, last, bridge]) == (["bridge"], ["dives_same"])
+
+
+@pytest.mark.parametrize("scenario", ["static", "straight"])
+def test_dives_at_the_same_time_are_two(scenario: str) -> None:
+    first, second = (simulate_dive(scenario, seed=seed, duration_s=120.0, grade="mems").imu for seed in (1, 2))
+    assert names([made("one", first), made("two", second)]) == (["one", "two"], [])
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "vehicle", "codes"),
+    [(0.01, "", ["dives_continue"]), (3.0, "", ["dives_continue"]), (60.0, "", []), (0.01, "another", [])],
+)
+def test_files_of_one_recording_are_told(imu: ImuColumns, pause_s: float, vehicle: str, codes: list[str]) -> None:
+    length_s = float(imu.time_ns[-1] - imu.time_ns[0]) * 1e-9
+    after = simulate_dive("straight", seed=5, duration_s=100.0).imu
+    later = moved(after, length_s + pause_s)
+    assert names([made("second", later, vehicle=vehicle), made("first", imu)]) == (["second", "first"], codes)
+
+
+def test_the_fingerprint_of_a_long_dive_is_small_and_finds_its_parts() -> None:
+    time_ns = 1_700_000_000_000_000_003 + np.arange(200_000) * 100_000_000
+    draw = np.random.default_rng(1)
+    long = ImuColumns(time_ns, draw.standard_normal((200_000, 3)), draw.standard_normal((200_000, 3)))
+    assert 100 < len(imu_fingerprint(long).digests) <= MOST_DIGESTS
+    part = long.rows(slice(50_000, 60_000))
+    assert names([made("part", part), made("long", long)]) == (["long"], ["dives_same"])
+
+
+def test_thousand_dives_are_compared_in_seconds() -> None:
+    draw = np.random.default_rng(1)
+    at_s = tuple(range(0, 3000, 10))
+    reports = []
+    for number in range(1000):
+        digests = tuple(map(str, draw.integers(0, 1 << 32, len(at_s)).tolist()))
+        reports.append(Made(Logged(str(number)), ImuFingerprint(0, nanoseconds(3000.0), at_s, digests)))
+    begun_s = time.process_time()
+    kept, _ = distinct_dives(reports)
+    assert len(kept) == 1000
+    assert time.process_time() - begun_s < 5.0
