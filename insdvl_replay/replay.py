@@ -93,10 +93,11 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         The settings do not fit the dive.
     """
     # Prepare: span, start, and what each filter measures; then random starts and windows without the DVL.
+    dive = with_reference_at_imu(dive, config)
+    prepared = prepare_with_heading(dive, config)
+    dive = replace(dive, imu_fingerprint=imu_fingerprint(dive.imu))
     if dive.reference_delay is None:
         dive = with_reference_delay(dive, config)
-    dive = replace(with_reference_at_imu(dive, config), imu_fingerprint=imu_fingerprint(dive.imu))
-    prepared = prepare_with_heading(dive, config)
     plan = plan_runs(dive, prepared, config)
 
     # Run every candidate. The rest needs no readings.
