@@ -8,6 +8,7 @@ every dive; and several candidates at once. What the tool makes of the numbers i
 
 import argparse
 import math
+import multiprocessing
 import os
 import sys
 import time
@@ -471,7 +472,7 @@ def main() -> None:
     given = parser.parse_args()
     begun_s = time.monotonic()
     asked = list(works(given.repeats, given.looked))
-    with ProcessPoolExecutor(given.jobs) as processes:
+    with ProcessPoolExecutor(given.jobs, multiprocessing.get_context("spawn")) as processes:
         found = list(processes.map(row_of, asked))
     rows = {name: [row for work, row in zip(asked, found, strict=True) if work.table == name] for name in COLUMNS}
     part = page(rows, given.repeats, given.looked, time.monotonic() - begun_s)

@@ -8,6 +8,7 @@ FILE` judges it again without any replay.
 
 import argparse
 import math
+import multiprocessing
 import os
 import pickle
 import sys
@@ -99,7 +100,7 @@ def judged_dives(tasks: Sequence[Task], jobs: int) -> Iterator[JudgedDive]:
     if jobs == 1:
         yield from map(judged_dive, tasks)
         return
-    with ProcessPoolExecutor(jobs) as processes:
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as processes:
         yield from processes.map(judged_dive, tasks)
 
 

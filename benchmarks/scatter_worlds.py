@@ -449,14 +449,14 @@ def _start_heading(name: str, *, told_deg: float, vehicle_deg: float = 0.0, refe
 
 WORLDS: Final[tuple[ScatterWorld, ...]] = (
     # Equal pairs.
-    _two_compasses(0.1, 0.03),
+    _two_compasses(0.1, 0.02),
     _two_compasses(0.2, 0.07),
     _two_compasses(0.5, 0.22),
     _two_mountings(0.1, 0.03),
     _two_mountings(0.2, 0.07),
     _two_mountings(0.5, 0.25),
     _two_imus(0.1, 0.4, 1.1),
-    _two_imus(0.2, 0.75, 2.1),
+    _two_imus(0.2, 0.7, 2.0),
     _two_imus(0.5, 2.3, 7.5),
     ScatterWorld(
         "five compasses, none differs",
