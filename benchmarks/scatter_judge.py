@@ -33,6 +33,7 @@ from scatter_worlds import (
     TrueErrors,
     TrueRatio,
     dive_of,
+    exchanged,
     reference_of,
     true_errors_of,
     true_ratios,
@@ -60,6 +61,7 @@ class JudgedDive:
 
     world: str
     number: int
+    """Of what was drawn: where two filters are exchanged, two dives have the same number."""
     records: Mapping[str, Record]
     errors: Mapping[str, TrueErrors]
     replay_s: float
@@ -73,12 +75,15 @@ class Task(NamedTuple):
     number: int
     seed: int
     is_replayed: bool
+    is_exchanged: bool = False
 
 
 def judged_dive(task: Task) -> JudgedDive:
     """Make a dive, replay it, and measure what is true of it."""
     world = WORLDS[task.world]
     drawn = dive_of(world, task.number, task.seed)
+    if task.is_exchanged:
+        drawn = exchanged(drawn, world.candidates[0])
     errors = true_errors_of(world, drawn)
     if not task.is_replayed:
         return JudgedDive(world.name, task.number, {}, errors, 0.0)
@@ -171,12 +176,18 @@ def is_opposite(word: str, truth: Truth) -> bool:
 # --- Groups of dives.
 
 
-def drawn_groups(dives: int, size: int, groups: int, seed: int) -> list[list[int]]:
-    """Draw groups of dives, none of which is twice in a group."""
+def drawn_groups(numbers: Sequence[int], size: int, groups: int, seed: int) -> list[list[int]]:
+    """Draw groups of rows, none of which has a number twice; of rows with the same number one is drawn at random."""
     rng = np.random.default_rng((seed, size))
-    if dives < size:
+    rows_of = dict[int, list[int]]()
+    for row, number in enumerate(numbers):
+        rows_of.setdefault(number, []).append(row)
+    if len(rows_of) < size:
         return []
-    return [sorted(rng.choice(dives, size, replace=False).tolist()) for _ in range(groups)]
+    return [
+        [int(rng.choice(rows_of[number])) for number in rng.choice(list(rows_of), size, replace=False).tolist()]
+        for _ in range(groups)
+    ]
 
 
 @dataclass(frozen=True)
@@ -217,6 +228,7 @@ def judged_pairs(world: ScatterWorld, dives: Sequence[JudgedDive], groups: int, 
     """Say the tool's word on all candidates of a world, for drawn groups of its dives."""
     baseline, candidates = world.config.baseline, world.candidates
     replayed = [dive for dive in dives if dive.records]
+    numbers = [dive.number for dive in replayed]
     level = level_of(len(candidates))
     found = []
     for candidate in candidates:
@@ -226,7 +238,7 @@ def judged_pairs(world: ScatterWorld, dives: Sequence[JudgedDive], groups: int, 
         words = {1: Counter(record.word for record in records)}
         by_group, primary = dict[int, list[str]](), dict[int, list[Found]]()
         for size in SIZES:
-            drawn = drawn_groups(len(records), size, groups, seed)
+            drawn = drawn_groups(numbers, size, groups, seed)
             by_group[size] = [
                 verdict_over(candidate, baseline, [records[row] for row in rows], candidates=len(candidates))
                 for rows in drawn
@@ -390,8 +402,9 @@ def truth_row(pair: JudgedPair) -> str:
 
 
 ABOUT: Final = (
-    "Two filters with two compasses, mountings or IMUs of the same kind are equal, since they could be exchanged. The "
-    "truth of other pairs is the geometric mean of the ratios of their dives, and of more dives that are not replayed, "
+    "Two filters with two compasses, mountings or IMUs of the same kind are equal, since they could be exchanged, and "
+    "every other dive is the one before with both exchanged, so that none is better in these dives. No group has both. "
+    "The truth of other pairs is the geometric mean of the ratios of their dives, and of more that are not replayed, "
     "against the exact motion and from the start that the dive has. A star marks what is not as asked."
 )
 OF_WORLDS: Final = (
@@ -439,7 +452,10 @@ def tasks_of(worlds: Sequence[int], dives: int, truth_dives: int, seed: int) -> 
     """Name all dives."""
     found = list[Task]()
     for world in worlds:
-        found += [Task(world, number, seed, True) for number in range(dives)]
+        if WORLDS[world].can_be_exchanged:
+            found += [Task(world, row // 2, seed, True, is_exchanged=row % 2 == 1) for row in range(dives)]
+        else:
+            found += [Task(world, number, seed, True) for number in range(dives)]
         if WORLDS[world].kind == "ensemble":
             found += [Task(world, dives + number, seed, False) for number in range(truth_dives)]
     return found

@@ -15,6 +15,7 @@ from typing import Final, Literal, NamedTuple
 import msgspec
 import numpy as np
 from scatter_filters import (
+    NO_TURN,
     OtherSensors,
     Told,
     as_filter,
@@ -50,6 +51,9 @@ SEA: Final = Sea(
     reference=SeaReference(rate_hz=5.0),
     imu_rate_hz=25.0,
 )
+
+GOOD_GYROS: Final = replace(SEA, grade="fog")
+"""Gyros that keep the heading of the start, however wrong it is."""
 
 Kind = Literal["equal", "copy", "ensemble", "no word"]
 """Equal, since both could be exchanged; the same; what the ensemble tells; or nobody may say anything."""
@@ -94,6 +98,11 @@ class ScatterWorld:
         """Names of all filters but the baseline."""
         return tuple(self.config.filters)[1:]
 
+    @property
+    def can_be_exchanged(self) -> bool:
+        """Whether each dive can be made a second time with the two filters exchanged, so that no one is better."""
+        return self.kind == "equal" and len(self.candidates) == 1
+
 
 def dive_of(world: ScatterWorld, number: int, seed: int = SEED) -> Drawn:
     """Make a dive of a world by its number; the same numbers make the same dive."""
@@ -101,6 +110,23 @@ def dive_of(world: ScatterWorld, number: int, seed: int = SEED) -> Drawn:
     vehicle, drawn = np.random.SeedSequence((seed, of_world, number)).spawn(2)
     reported, exact = world.sea.dive(int(vehicle.generate_state(1)[0]))
     return world.draw(reported, exact, np.random.default_rng(drawn))
+
+
+def exchanged(drawn: Drawn, name: str) -> Drawn:
+    """Give the baseline of a dive the sensors of a filter, and the filter those of the baseline.
+
+    A filter whose errors are larger by a factor keeps its sensors, and its errors are smaller by as much.
+    """
+    told = drawn.told[name]
+    mounting = mat_from_rpy(np.array(told.mounting_rpy_deg) * DEG)
+    back = Told(
+        accel_bias_mps2=vector_of(-np.array(told.accel_bias_mps2)),
+        gyro_bias_radps=vector_of(-np.array(told.gyro_bias_radps)),
+        mounting_rpy_deg=NO_TURN if told.mounting_rpy_deg == NO_TURN else rpy_deg_of(mounting.T),
+        heading_deg=-told.heading_deg,
+        factor=1.0 / told.factor,
+    )
+    return drawn._replace(reported=with_other_sensors(drawn.reported, told), told={**drawn.told, name: back})
 
 
 # --- What is drawn.
@@ -372,10 +398,12 @@ DVL_SD_MPS: Final = 0.008
 """What filters are told of the DVL, which is nearly true; the preset's 20 mm/s are far from it."""
 
 
-def _settings(*others: str, aiding: tuple[str, ...] = ("velocity",), sd_mps: float = DVL_SD_MPS) -> Config:
+def _settings(
+    *others: str, aiding: tuple[str, ...] = ("velocity",), sd_mps: float = DVL_SD_MPS, sea: Sea = SEA
+) -> Config:
     """Give a baseline and filters with sensors of their own; all are told the preset of the IMU's grade."""
-    preset = load_config(SEA.grade)
-    noise = SEA.reference
+    preset = load_config(sea.grade)
+    noise = sea.reference
     reference = msgspec.structs.replace(
         preset.reference,
         position_sd_m=noise.position_m,
@@ -437,14 +465,14 @@ def _two_imus(scatter: float, accel_mg: float, gyro_degph: float) -> ScatterWorl
 
 def _start_heading(name: str, *, told_deg: float, vehicle_deg: float = 0.0, reference_deg: float = 0.0) -> ScatterWorld:
     """Hold a compass against none, where the heading at the start is as uncertain as the filters are told."""
-    config = _settings()
+    config = _settings(sea=GOOD_GYROS)
     initial = msgspec.structs.replace(
         config.initial, uncertainty="settings", misalignment_sd_deg=(0.05, 0.05, told_deg), velocity_sd_mps=0.02
     )
     compass = Filter(aiding=WITH_COMPASS, velocity_sd_mps=DVL_SD_MPS)
     config = _with(msgspec.structs.replace(config, initial=initial), compass=compass)
     draw = start_headings(vehicle_deg=vehicle_deg, compass_deg=0.5, reference_deg=reference_deg)
-    return ScatterWorld(name, "ensemble", config, draw)
+    return ScatterWorld(name, "ensemble", config, draw, sea=GOOD_GYROS)
 
 
 WORLDS: Final[tuple[ScatterWorld, ...]] = (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from judged import log_ratio_of
-from scatter_filters import CASE, Told, with_other_sensors
+from scatter_filters import CASE
 from scatter_judge import (
     JudgedDive,
     Task,
@@ -14,11 +14,9 @@ from scatter_judge import (
     judged_pairs,
     outcome,
     page,
+    tasks_of,
 )
-from scatter_worlds import OTHER, WORLDS, Drawn, ScatterWorld, dive_of, reference_of, rpy_deg_of, true_errors_of
-
-from insdvl_replay.core.states import DEG
-from insdvl_replay.geometry.rotation import mat_from_rpy
+from scatter_worlds import OTHER, WORLDS, ScatterWorld, dive_of, exchanged, reference_of, true_errors_of
 
 EQUAL = ("two compasses, s 0.5", "two mountings, s 0.5", "two IMUs, s 0.5")
 
@@ -33,25 +31,11 @@ def number_of(name: str) -> int:
     return [world.name for world in WORLDS].index(name)
 
 
-def exchanged(drawn: Drawn) -> Drawn:
-    """Give the baseline the sensors of the other filter, and the other one those of the baseline."""
-    told = drawn.told[OTHER]
-    mounting = mat_from_rpy(np.array(told.mounting_rpy_deg) * DEG)
-    x, y, z = told.accel_bias_mps2
-    roll, pitch, yaw = told.gyro_bias_radps
-    back = Told(
-        accel_bias_mps2=(-x, -y, -z),
-        gyro_bias_radps=(-roll, -pitch, -yaw),
-        mounting_rpy_deg=rpy_deg_of(mounting.T),
-        heading_deg=-told.heading_deg,
-    )
-    return drawn._replace(reported=with_other_sensors(drawn.reported, told), told={OTHER: back})
-
-
-@pytest.mark.parametrize("name", EQUAL)
+@pytest.mark.parametrize("name", [*EQUAL, "late: two compasses, s 0.2"])
 def test_filters_of_an_equal_pair_can_be_exchanged(name: str) -> None:
     world, drawn = world_of(name), dive_of(world_of(name), 3)
-    there, back = true_errors_of(world, drawn), true_errors_of(world, exchanged(drawn))
+    there, back = true_errors_of(world, drawn), true_errors_of(world, exchanged(drawn, OTHER))
+    assert world.can_be_exchanged
     np.testing.assert_allclose(there[OTHER], back["baseline"], rtol=1e-6)
     np.testing.assert_allclose(there["baseline"], back[OTHER], rtol=1e-6)
     assert abs(np.log(there[OTHER].position / there["baseline"].position)) > 0.01
@@ -169,8 +153,34 @@ def test_the_opposite_is_a_word_of_the_wrong_sign() -> None:
     assert not is_opposite("better", EXCHANGEABLE)
 
 
-def test_groups_hold_each_dive_once_and_need_enough_dives() -> None:
-    groups = drawn_groups(10, 8, 50, 1)
+def test_groups_hold_each_number_once_and_need_enough() -> None:
+    numbers = [row // 2 for row in range(20)]
+    groups = drawn_groups(numbers, 8, 50, 1)
     assert len(groups) == 50
-    assert all(len(set(group)) == 8 and max(group) < 10 for group in groups)
-    assert drawn_groups(7, 8, 50, 1) == []
+    assert all(len({numbers[row] for row in group}) == 8 for group in groups)
+    assert {row for group in groups for row in group} == set(range(20))
+    assert drawn_groups(numbers[:14], 8, 50, 1) == []
+
+
+def test_half_of_the_dives_of_an_equal_pair_are_exchanged() -> None:
+    equal, five = number_of(EQUAL[0]), number_of("five compasses, none differs")
+    tasks = tasks_of([equal, five], 4, 3, 1)
+    assert [(task.number, task.is_exchanged) for task in tasks if task.world == equal] == [
+        (0, False),
+        (0, True),
+        (1, False),
+        (1, True),
+    ]
+    assert [(task.number, task.is_exchanged) for task in tasks if task.world == five] == [
+        (number, False) for number in range(4)
+    ]
+    late = number_of("late: R of 2 mm/s, truly 7")
+    assert [task.is_replayed for task in tasks_of([late], 2, 1, 1)] == [True, True, False]
+
+
+def test_the_factor_of_an_exchanged_filter_is_its_inverse() -> None:
+    world = world_of("equal on average, s 0.3")
+    drawn = dive_of(world, 0)
+    back = exchanged(drawn, OTHER)
+    assert back.told[OTHER].factor == pytest.approx(1.0 / drawn.told[OTHER].factor)
+    np.testing.assert_array_equal(back.reported.imu.angular_rate_b, drawn.reported.imu.angular_rate_b)
