@@ -27,7 +27,7 @@ from insdvl_replay.show.render import document, render
 
 @pytest.fixture(scope="module")
 def dives() -> list[ReadDive]:
-    return [built_in_otherwise("figure-eight", seed, duration_s=180.0) for seed in (1, 2)]
+    return [built_in_otherwise("figure-eight", seed, duration_s=240.0) for seed in (1, 2)]
 
 
 @pytest.fixture(scope="module")
