@@ -52,6 +52,9 @@ SEA: Final = Sea(
     imu_rate_hz=25.0,
 )
 
+WAVES: Final = replace(SEA, voyage=replace(SEA.voyage, wave_mps=0.2, wave_period_s=7.0))
+"""Accelerations by which a late reference is off as much as a filter that trusts late pings."""
+
 Kind = Literal["equal", "copy", "ensemble", "no word"]
 """Equal, since both could be exchanged; the same; what the ensemble tells; or nobody may say anything."""
 
@@ -529,6 +532,7 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
         "ensemble",
         _with(_settings(), small=_by_velocity(0.002)),
         late(nothing_drawn),
+        sea=WAVES,
     ),
     ScatterWorld(
         "late: R of 5 mm/s, truly 100, the reference of the same sensors",
