@@ -6,7 +6,7 @@ change.
 
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.replay import Replay
     from insdvl_replay.results.trajectory import Trajectory
 
@@ -54,7 +55,8 @@ def load_config(
     *files : str or Path
         TOML files. Later files override earlier ones.
     preset : str, optional
-        ``levy-klein`` (the default), ``fog``, ``tactical`` or ``mems``.
+        ``levy-klein`` (the paper's), ``fog``, ``tactical`` or ``mems``. Without one, and without ``[noise]``, a replay
+        fits the noise to the dives.
     settings : mapping or sequence of str
         Single settings by their dotted keys: ``{"dvl.scale": 1.01}``, or ``["dvl.scale=1.01"]``. Values may be tuples,
         NumPy arrays and numbers, and paths. Nested mappings set only their own keys.
@@ -128,7 +130,7 @@ def _logs(given: Paths, name: str = "log") -> list[Path]:
 def _settings(given: Settings | None, name: str = "config") -> Config:
     """Return an argument as settings; paths are read as `load_config` reads them, and None gives the defaults."""
     if given is None:
-        return Config()
+        return load_config()
     if isinstance(given, Config):
         return given
     if isinstance(given, str | os.PathLike | list | tuple):
@@ -160,7 +162,8 @@ def replay_log(
     log : str, Path or sequence of them
         An MCAP file or a bag folder, or several of one dive.
     config : Config, str, Path or sequence of them, optional
-        From `load_config`, or TOML files as for it. Default: the default settings.
+        From `load_config`, or TOML files as for it. Default: the default settings. Noise that they do not give is fitted
+        to the dive, and a note says so.
     allow_damaged : bool
         Use the readable part of a damaged log.
     name : str, optional
@@ -175,18 +178,21 @@ def replay_log(
     ConfigError
         The settings do not fit the log.
     """
+    from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
     from insdvl_replay.replay import replay_log as replayed
     from insdvl_replay.results.result_files import report_of
 
     paths, settings = _logs(log), _settings(config)
     run = partial(replayed, paths, allow_damaged=allow_damaged, name=name)
+    fitted = fit_noise_of_logs([paths], settings, allow_damaged=allow_damaged, must_be_described=auto)
     try:
-        replay = run(settings, require_fit=auto)
+        replay = run(fitted.config, require_fit=auto)
+        replay = replace(replay, notes=(*fitted.notes, *replay.notes))
     except UserError:
         if not auto:
             raise
+        from insdvl_replay.calibration.found import Given
         from insdvl_replay.inspection.automatic import find_settings
-        from insdvl_replay.inspection.proposal import Given
 
         found = find_settings([paths], Given(settings), allow_damaged=allow_damaged)
         replay = run(found.config)
@@ -275,8 +281,8 @@ def inspect(
 
 def propose(logs: Paths, config: Settings | None = None, *, allow_damaged: bool = False) -> "CommandResult":
     """Propose settings for the dives of a vehicle, a log each; `CommandResult.settings` has them as TOML."""
+    from insdvl_replay.calibration.found import Given
     from insdvl_replay.inspection.automatic import settings_file
-    from insdvl_replay.inspection.proposal import Given
 
     dives = [[path] for path in _logs(logs, "logs")]
     found = settings_file(dives, Given(_settings(config).without_code()), allow_damaged=allow_damaged)
@@ -371,13 +377,14 @@ def compare_settings(
     Parameters
     ----------
     before, after : Config, str, Path or sequence of them
-        From `load_config`, or TOML files as for it.
+        From `load_config`, or TOML files as for it. Noise that they do not give is fitted once, with ``before``.
     folder : str or Path
         Results that are up to date are used again.
     force : bool
         Replace other results.
     """
     from insdvl_replay.batch.dive_paths import FoundDive
+    from insdvl_replay.batch.fitted_noise import with_noise_of_first
     from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
 
     options = (
@@ -386,7 +393,7 @@ def compare_settings(
     )
     dives = [*map(FoundDive, _logs(logs, "logs"))]
     (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, _path("folder", folder), options)
-    jobs = [*old_jobs, *new_jobs]
+    jobs, force = with_noise_of_first(old_jobs, new_jobs, force=force)
     for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
         if isinstance(outcome.result, Exception):
             raise outcome.result
@@ -410,6 +417,7 @@ def check(
         Folder for the results of logs, which are replayed if something has changed.
     """
     from insdvl_replay.batch.dive_paths import find_dives
+    from insdvl_replay.batch.fitted_noise import with_fitted_noise
     from insdvl_replay.batch.jobs import ReplayOptions, checked_dives, known_reports, replay_jobs
     from insdvl_replay.batch.manifest import fetch_dives
     from insdvl_replay.changes.formats import check_result
@@ -423,12 +431,17 @@ def check(
     options = ReplayOptions(settings, allow_damaged=found.content.allow_damaged, histories=False)
     meant = find_dives(named, base, results=True)
     own_files = {file for dive in meant if (file := dive.settings) is not None and config is None}
+
+    def replay(jobs: "Sequence[ReplayJob]") -> "Generator[Outcome, None, None]":
+        fitted, _ = with_fitted_noise(jobs, force=True)
+        return replay_jobs(fitted, known_reports(fitted, force=True), None)
+
     checked = checked_dives(
         found,
         fetch_dives(meant),
         Path(results),
         options,
-        lambda jobs: replay_jobs(jobs, known_reports(jobs, force=True), None),
+        replay,
         {file: _load_config(found.content.preset, [file, *files]) for file in own_files},
     )
     return CommandResult(check_result(evaluate_gates(found, checked)))

@@ -362,6 +362,17 @@ def replay_into(job: ReplayJob) -> bytes:
         from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
 
         run = replay_with_tuned_baseline
+    if options.config.noise.fit:  # of logs that only this worker can read
+        from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
+
+        found = fit_noise_of_logs(
+            [job.logs],
+            options.config,
+            allow_damaged=options.allow_damaged,
+            must_be_described=options.require_fit,
+        )
+        notes = (*options.found, *found.notes)
+        options = replace(options, config=found.config, found=notes, vehicle=found.text if found.notes else "")
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=job.target.name)
     if options.found:

@@ -17,11 +17,11 @@ from insdvl_replay.core.urls import shown_url
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.dive_paths import FoundDive
+    from insdvl_replay.calibration.found import Given
     from insdvl_replay.calibration.innovations import ReadDive
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Result
     from insdvl_replay.inspection.inventory import Inventory
-    from insdvl_replay.inspection.proposal import Given
 
 
 # --- inspect
@@ -65,11 +65,11 @@ def inspect(
       insdvl-replay inspect sensors.mcap gnss.mcap --one-dive
     """
     from insdvl_replay.batch.dive_paths import find_dives, shared_settings, usable_paths
+    from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.screen import fetch_with_progress, progress, written
     from insdvl_replay.core.config_file import given_keys, load_config
     from insdvl_replay.core.result import as_json
     from insdvl_replay.inspection.inventory import inspection_result
-    from insdvl_replay.inspection.proposal import Given
     from insdvl_replay.inspection.survey import inspect_log, inspect_summary
     from insdvl_replay.results.folder import require_replaceable_file
 

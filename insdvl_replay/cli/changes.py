@@ -10,12 +10,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from insdvl_replay.cli import options as opt
-from insdvl_replay.cli.messages import log_failure, log_info, log_notes, log_to_stderr, write_stdout
-from insdvl_replay.core.errors import ConfigError, LimitError, error_context, looked_for, visible
+from insdvl_replay.cli.messages import (
+    is_finding,
+    log_failure,
+    log_findings,
+    log_info,
+    log_notes,
+    log_to_stderr,
+    write_stdout,
+)
+from insdvl_replay.core.errors import ConfigError, LimitError, Note, error_context, looked_for, visible
+from insdvl_replay.results.folder import VEHICLE_FILE
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
     from insdvl_replay.changes.comparison import Comparison
+    from insdvl_replay.changes.gate_file import Checked
     from insdvl_replay.core.config import Config
 
 GATE_FAILED = 1
@@ -129,12 +139,17 @@ def answer_against(
     (old, old_jobs), (new, _) = sides
     failures = dict[str, int]()  # exit code by sentence, as both sides may say the same
     done = list[str]()
+    said = set[tuple[Note, ...]]()
     with closing(replays):
         for outcome in replays:
             report = outcome.result
             if not isinstance(report, Exception):
                 done.append(report.log.name)
                 if outcome.job in old_jobs and not quiet:
+                    found_noise = tuple(filter(is_finding, report.notes))
+                    if found_noise not in said:
+                        said.add(found_noise)
+                        log_findings(found_noise, outcome.job.target / VEHICLE_FILE)
                     dive = report.log.name if len(old_jobs) > 1 else ""
                     log_notes(report.notes, verbose=verbose > 0, dive=dive)
             elif str(report) not in failures:
@@ -148,6 +163,16 @@ def answer_against(
         if worse := changes.find_violation(found, limit):
             failures[worse] = log_failure(LimitError(worse), verbose)
     return max(failures.values(), default=0)
+
+
+def _log_fitted_noise(checked: "Sequence[Checked]") -> None:
+    """Say with which noise logs were replayed for which the gates name none."""
+    said = set[tuple[Note, ...]]()
+    for result, folder in checked:
+        found = () if isinstance(result, Exception) else tuple(filter(is_finding, result.notes))
+        if found not in said:
+            said.add(found)
+            log_findings(found, folder / VEHICLE_FILE)
 
 
 def check(
@@ -266,6 +291,8 @@ def check(
         chosen, fetch_with_progress(found_dives, offline=offline), results, options, replayed, configs
     )
     codes = [log_failure(result, verbose) for result, _ in checked if isinstance(result, Exception)]
+    if not quiet:
+        _log_fitted_noise(checked)
     if update:
         if all(gate.expected is None for gate in chosen.gates):
             raise ConfigError(f"{gates}: no gate has expected values", 'expected = "expected/{log}.json"')

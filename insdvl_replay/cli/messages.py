@@ -96,8 +96,8 @@ def own_findings(notes: Iterable[Note]) -> list[Note]:
     return [note for note in notes if note.code == "found_own"]
 
 
-def log_findings(notes: Iterable[Note], file: Path) -> bool:
-    """Print what was found or assumed of a vehicle without settings, warnings first; return whether there is any."""
+def log_findings(notes: Iterable[Note], file: Path) -> None:
+    """Print what was found or assumed of a vehicle without settings, or without a noise, warnings first."""
     findings = [note for note in notes if is_finding(note)]
     for note in findings[:MOST_FINDINGS]:
         log_to_stderr(f"{'assumed' if note.severity == 'warning' else 'found'}: {note.text}")
@@ -105,7 +105,6 @@ def log_findings(notes: Iterable[Note], file: Path) -> bool:
         log_to_stderr(f"found: {counted(len(more), 'more setting')}, in the report and in {file.name}")
     if findings and file.is_file():
         log_to_stderr(f"to repeat it: -c {shlex.quote(str(file))}")
-    return bool(findings)
 
 
 def _hinted(hint: str) -> str:

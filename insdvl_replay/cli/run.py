@@ -15,11 +15,15 @@ from insdvl_replay.cli import options as opt
 from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
+    from insdvl_replay.calibration.found import Given
     from insdvl_replay.core.config import Config
     from insdvl_replay.core.result import Report
-    from insdvl_replay.inspection.proposal import Given
     from insdvl_replay.show.answers import Failure
+
+    _Sides = tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]
 
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
 
@@ -133,8 +137,8 @@ def run(
         write_stdout,
     )
     from insdvl_replay.cli.screen import fetch_with_progress, written
-    from insdvl_replay.core.config_file import given_keys
-    from insdvl_replay.core.errors import visible
+    from insdvl_replay.core.config_file import changed_by, given_keys
+    from insdvl_replay.core.errors import Note, visible
     from insdvl_replay.core.result import Part, Report
     from insdvl_replay.results.folder import PAGE, VEHICLE_FILE, require_parquet, result_file
     from insdvl_replay.results.stored_results import earlier_results
@@ -171,6 +175,8 @@ def run(
         sides = plan_both_sides(
             fetch_with_progress(found, offline=offline), output, both, (configs, changed), one_dive=one_dive
         )
+        change = partial(changed_by, against=against, allow_code=allow_code)
+        sides, force = _with_same_noise(sides, change, force=force, rerun=rerun)
         dives = [job for _, planned in sides for job in planned]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
@@ -195,7 +201,8 @@ def run(
 
     reports: list[Report | Failure] = []
     codes: dict[str, int] = {}
-    unchanged, explained, has_findings = 0, False, False
+    unchanged, explained = 0, False
+    said = set[tuple[Note, ...]]()  # what was found of the vehicle, or of several
     replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
     with closing(replays):  # an interrupt may come here, and the workers must end before this process
         for outcome in replays:
@@ -206,9 +213,10 @@ def run(
                 continue
             reports.append(report)
             unchanged += outcome.unchanged
-            own = own_findings(report.notes)
-            if not quiet and (own or not has_findings):
-                has_findings |= log_findings(own or report.notes, target / VEHICLE_FILE)
+            findings = tuple(own_findings(report.notes) or filter(is_finding, report.notes))
+            if not quiet and findings not in said:
+                said.add(findings)
+                log_findings(findings, target / VEHICLE_FILE)
             if talks or (alone and not quiet):
                 warned = [note for note in report.notes if not is_finding(note)]
                 log_notes(warned, verbose=verbose > 0, dive="" if alone else name)
@@ -287,7 +295,7 @@ def _changed_settings(
         if fail_on is not None:
             raise ConfigError("--fail-on: works with --against only", "`insdvl-replay compare OLD NEW --fail-on worse`")
         return {}
-    changed = {file: load(file, against=against) for file in configs}
+    changed = {file: load(file, against=against) for file in configs}  # whose noise is not fitted yet
     if changed == configs:
         raise ConfigError(f"--against {against[-1]}: is the setting already", "give another value")
     unheeded = [
@@ -303,6 +311,32 @@ def _changed_settings(
         option = "--table" if tables else "--strict"
         raise ConfigError(f"--against: does not work with {option}", "use `insdvl-replay compare` afterwards")
     return changed
+
+
+def _with_same_noise(
+    sides: "_Sides", change: "Callable[[Config], Config]", *, force: bool, rerun: bool
+) -> "tuple[_Sides, bool]":
+    """Fit a noise that nobody has given before a change of settings alone, so that both sides differ by that change."""
+    (old, before), (new, after) = sides
+    known, force = _with_noise(before, force=force, rerun=rerun)
+    changed = list["ReplayJob"]()
+    for planned, fitted, job in zip(before, known, after, strict=True):
+        if fitted != planned:
+            config = change(fitted.options.config)
+            job = replace(job, options=replace(fitted.options, config=config, vehicle=""))
+        changed.append(job)
+    return ((old, known), (new, changed)), force
+
+
+def _with_noise(dives: "Sequence[ReplayJob]", *, force: bool, rerun: bool) -> "tuple[list[ReplayJob], bool]":
+    """Fit the noise that nobody has given, and show the progress on a terminal."""
+    from insdvl_replay.batch.fitted_noise import with_fitted_noise
+    from insdvl_replay.cli.screen import REPLAY, compiling, progress
+
+    def shown() -> "AbstractContextManager[object]":
+        return progress("fitting the noise", REPLAY, compiling())
+
+    return with_fitted_noise(dives, force=force, rerun=rerun, while_fitting=shown)
 
 
 def _tables_of_all(reports: "Sequence[Report | Failure]", tables: list[str], format_: str, *, at_the_end: bool) -> str:
@@ -347,12 +381,12 @@ def outcomes_without_settings(
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
     from insdvl_replay.batch.jobs import known_reports
+    from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.messages import is_finding
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import Note, UserError
     from insdvl_replay.core.words import Severity
     from insdvl_replay.inspection.automatic import find_settings, stored_settings
-    from insdvl_replay.inspection.proposal import Given
     from insdvl_replay.preparation.run import MisfitError
 
     def with_options(dives: "Sequence[ReplayJob]", **changes: object) -> "list[ReplayJob]":
@@ -381,13 +415,15 @@ def outcomes_without_settings(
     known_reports(unknown, force=force, rerun=rerun)  # results that may not be replaced stop it before any work is done
     # Settings that were found for other dives than these are found again, and replace those.
     force = force or all(not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True))
+    unfitted = dives
+    dives, force = _with_noise(dives, force=force, rerun=rerun)
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
     if not _needs_settings(first):
         yield first
         others = list["ReplayJob"]()
         for outcome in outcomes_as_planned(dives[1:], jobs, None, force=force, rerun=rerun) if dives[1:] else ():
             if _needs_settings(outcome):
-                others.append(outcome.job)
+                others += [dive for dive in unfitted if dive.target == outcome.job.target]
             else:
                 yield outcome
         if others:
@@ -400,11 +436,12 @@ def outcomes_without_settings(
         if isinstance(first.result, MisfitError):
             text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"
             note = Note("found_nothing", text, 1, Severity.WARNING, error.hint)
-            yield from outcomes_as_planned(with_options(dives, found=(note,)), jobs, None, force=force, rerun=rerun)
+            planned = with_options(unfitted, found=(note,))
+            yield from outcomes_as_planned(planned, jobs, None, force=force, rerun=rerun)
             return
         yield replace(first, result=error)
-        if dives[1:]:
-            yield from outcomes_without_settings(dives[1:], jobs, force=force, rerun=rerun)
+        if unfitted[1:]:
+            yield from outcomes_without_settings(unfitted[1:], jobs, force=force, rerun=rerun)
         return
     found_for = with_options(dives, config=found.config, found=found.notes, vehicle=found.text)
     yield from _outcomes_by_groups(found_for, given, found.config, jobs, force=force, rerun=rerun)
@@ -429,7 +466,7 @@ def _outcomes_by_groups(
     """Replay the dives of a vehicle; those that contradict the first one's settings get some of their own together."""
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
     from insdvl_replay.core.errors import UserError
-    from insdvl_replay.inspection.automatic import find_settings
+    from insdvl_replay.inspection.automatic import find_settings, settings_of_one
 
     outcomes = outcomes_as_planned(dives, jobs, None, force=force, rerun=rerun)
     first = next(outcomes)
@@ -452,7 +489,7 @@ def _outcomes_by_groups(
         return
     own = list["ReplayJob"]()
     for dive in others:
-        of_dive = found.as_own(dive.target.name, common)
+        of_dive = settings_of_one(found, dive.target.name, common)
         options = replace(dive.options, config=of_dive.config, found=of_dive.notes, vehicle=of_dive.text)
         own.append(replace(dive, options=options))
     # What the common settings gave is replaced.
@@ -553,6 +590,7 @@ def outcomes_as_planned(
     from insdvl_replay.cli.messages import log_notes
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
 
+    dives, force = _with_noise(dives, force=force, rerun=rerun)
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
     if scheduler is None:

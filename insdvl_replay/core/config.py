@@ -336,13 +336,35 @@ class Initial(Section, frozen=True):
     gyro_bias_sd_degph: Annotated[Positive, Comment("each axis")] = 10.0
 
 
-class Noise(Section, frozen=True):
-    """What the filters assume of the inertial sensors."""
+class InertialNoise(Section, frozen=True):
+    """What a filter assumes of the inertial sensors."""
 
     accel_white_mps_rts: Annotated[NotNegative, Comment("m/s/sqrt(s)")] = 0.20
     gyro_white_rad_rts: Annotated[NotNegative, Comment("rad/sqrt(s)")] = 3.7e-5
     accel_bias_walk_mps2_rts: Annotated[NotNegative, Comment("m/s^2/sqrt(s)")] = 1e-6
     gyro_bias_walk_radps_rts: Annotated[NotNegative, Comment("rad/s/sqrt(s)")] = 1e-10
+
+
+FREE: Final[Mapping[str, tuple[str, ...]]] = {
+    "imu": ("noise.accel_white_mps_rts", "noise.gyro_white_rad_rts", "noise.accel_bias_walk_mps2_rts",
+            "noise.gyro_bias_walk_radps_rts"),
+    "dvl": ("dvl.velocity_sd_mps", "dvl.beam_sd_mps"),
+    "biases": ("initial.accel_bias_sd_mg", "initial.gyro_bias_sd_degph"),
+    "filters": ("filters",),
+}  # fmt: skip
+"""Keys, or a section, that `noise.fit` frees, by its words."""
+
+
+class Noise(InertialNoise, frozen=True):
+    """What the filters assume of the inertial sensors, and what of it is fitted to the dives."""
+
+    fit: Annotated[
+        tuple[Literal["imu", "dvl", "biases", "filters"], ...],
+        Comment(
+            "what is fitted to the dives, or taken from the IMU's class: imu | dvl | biases | filters; left out: all "
+            "that is not given, and nothing with a preset or another key of [noise]"
+        ),
+    ] = ("imu", "dvl", "biases", "filters")
 
 
 class Acceleration(Section, frozen=True):

@@ -20,6 +20,7 @@ import msgspec
 from msgspec import Struct
 
 from insdvl_replay.core.config import (
+    FREE,
     MOST_BYTES,
     TOPIC_KEYS,
     Config,
@@ -280,7 +281,7 @@ def load_config(
     Parameters
     ----------
     preset : str, optional
-        One of `PRESETS`. Without it, files change the defaults; without files, it is the first one.
+        One of `PRESETS`. Without it, files change the defaults.
     file : Path or sequence of Path, optional
         TOML files; later ones override earlier ones, key by key. The filters of the first file that has some replace
         those of the preset. The filters of later files are added; one with a known name replaces that filter.
@@ -299,9 +300,6 @@ def load_config(
         code that is not allowed.
     """
     files = [file] if isinstance(file, Path) else file or ()
-    # Files of settings begin with the defaults; without them, a dive is replayed as in the paper.
-    if preset is None and not files:
-        preset = PRESETS[0]
     if preset is not None and preset not in PRESETS:
         raise ConfigError(f"preset '{preset}' is not known", f"use one of: {', '.join(PRESETS)}")
     layers = [] if preset is None else [_preset(preset)]
@@ -319,7 +317,39 @@ def load_config(
     ]
     config = _changed(settings, changes)
     _require_possible(config, [*layers, *changes], allow_code=allow_code)
+    if not any(layer.has("noise", "fit") for layer in (*layers, *changes)):
+        noise = msgspec.structs.replace(config.noise, fit=_free_noise(config, preset, [*layers, *changes]))
+        config = msgspec.structs.replace(config, noise=noise)
     return _with_digests(config)
+
+
+def changed_by(config: Config, against: Sequence[str], *, allow_code: bool = False) -> Config:
+    """Change settings whose noise is fitted already, as ``--against`` says.
+
+    A noise of the velocity that is given replaces a fitted noise of the beams, which would override it.
+    """
+    changes = [_parse_override("--against", override) for override in against]
+    given = [change.has("dvl", "beam_sd_mps") for change in changes]
+    if any(change.has("dvl", "velocity_sd_mps") for change in changes) and not any(given):
+        changes.insert(0, _parse_override("--against", "dvl.beam_sd_mps=none"))
+    changed = _changed(msgspec.to_builtins(config), changes)
+    _require_possible(changed, changes, allow_code=allow_code)
+    return _with_digests(changed)
+
+
+def _free_noise(config: Config, preset: str | None, layers: Sequence[TomlSource]) -> tuple[Any, ...]:
+    """Name what is fitted to the dives: what nobody has given, and nothing where the noise of the IMU is given."""
+    baseline = config.filters[config.baseline]
+    own = {
+        "imu": None not in (baseline.accel_white_mps_rts, baseline.gyro_white_rad_rts),
+        "dvl": (baseline.velocity_sd_mps, baseline.beam_sd_mps) != (None, None),
+    }
+    free = []
+    for word, keys in FREE.items():
+        is_given = any(layer.has(*key.split(".")) for layer in layers for key in keys)
+        if not is_given and not own.get(word, False):
+            free.append(word)
+    return tuple(free) if preset is None and "imu" in free else ()
 
 
 def _changed(settings: Any, changes: Sequence[TomlSource]) -> Config:

@@ -11,14 +11,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.calibration import Calibration
 from insdvl_replay.calibration.dives import answer_of, calibrate_dives
+from insdvl_replay.calibration.fitted_noise import (
+    MOST_DIVES,
+    halves,
+    levelled_to_dives,
+    middle,
+    of_class,
+    with_biases_of_class,
+    with_noise,
+)
+from insdvl_replay.calibration.found import FoundSettings, Given, as_given, comment_lines, found_note, with_values
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.calibration.innovations import LABELS, NOISE, ReadDive, with_dvl
-from insdvl_replay.calibration.noise import GRADES, INERTIAL, imu_class, noise_class
+from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.checks.reference_delay import is_late, with_reference_delay
 from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.config_file import load_config, render_toml
@@ -27,31 +36,17 @@ from insdvl_replay.core.errors import LogError, Note, UserError, counted, listed
 from insdvl_replay.core.runtime import report_stage
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Severity
-from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
 from insdvl_replay.geometry.rotation import mat_from_rpy
-from insdvl_replay.inspection.proposal import (
-    Given,
-    Setting,
-    comment_lines,
-    found_note,
-    propose_settings,
-    settings_toml,
-    with_values,
-)
+from insdvl_replay.inspection.proposal import Setting, propose_settings, settings_toml
 from insdvl_replay.inspection.roles import UNKNOWN_LATITUDE_DEG, read_roles, with_roles
 from insdvl_replay.inspection.trials import CONSISTENT
 from insdvl_replay.logs.formats.recording import open_recording
 from insdvl_replay.preparation.prepared import raise_if_span_is_empty, read_checked_dive, with_reference_at_imu
-from insdvl_replay.preparation.run import FIT, LEAST_NIS, MISREAD, MOST_NIS, baseline_fit, fitted_start
+from insdvl_replay.preparation.run import FIT, MISREAD, fitted_start
 from insdvl_replay.results.folder import VEHICLE_FILE
 
-MOST_DIVES: Final = 5  # dives from which the settings are found
 # What a calibration finds, by the settings that it replaces.
 GROUPS: Final = {"arm": "lever_arm_m", "mounting": "mounting_rpy_deg", "delay": "latency_s", "scale": "scale"}
-LONGEST_S: Final = 2400.0  # of a dive, from which geometry and noise are fitted
-FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
-MOST_ROUNDS: Final = 4  # in which it is changed
-WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
 # Notes on a reference that does not move as DVL and gyros say.
 CONTRADICTIONS: Final = frozenset(
     {"dvl_contradiction", "track_contradiction", "imu_gyro_contradiction", "reference_constant"}
@@ -67,25 +62,12 @@ AS_GIVEN: Final = "as given: "
 Paths = Sequence[Path]
 
 
-@dataclass(frozen=True)
-class FoundSettings:
-    """Settings with which dives can be replayed, and what was found or assumed."""
-
-    config: Config
-    notes: tuple[Note, ...]  # warnings first
-
-    @property
-    def text(self) -> str:
-        """Return the settings as a file for ``-c``, which holds what differs from the defaults."""
-        comments = [line for note in self.notes for line in comment_lines(note.text)]
-        return "".join(f"{line}\n" for line in comments) + f"\n{render_toml(self.config, changed_only=True)}"
-
-    def as_own(self, name: str, common: Config) -> "FoundSettings":
-        """Return the settings of a dive that contradicts the common ones of its vehicle, with a note why."""
-        differences = "; ".join(_differences(self.config, common)) or "another start and noise"
-        hint = "if the vehicle was not changed between its dives, look at the sensor that differs"
-        note = found_note("found_own", f"{name} has settings of its own: {differences}", hint, warn=True)
-        return replace(self, notes=(note, *self.notes))
+def settings_of_one(found: FoundSettings, name: str, common: Config) -> FoundSettings:
+    """Return the settings of a dive that contradicts the common ones of its vehicle, with a note why."""
+    differences = "; ".join(_differences(found.config, common)) or "another start and noise"
+    hint = "if the vehicle was not changed between its dives, look at the sensor that differs"
+    note = found_note("found_own", f"{name} has settings of its own: {differences}", hint, warn=True)
+    return replace(found, notes=(note, *found.notes))
 
 
 def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool = False) -> FoundSettings:
@@ -115,17 +97,17 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     read, config = _with_reference_latency(read, config, given, proposed_s, notes)
     config = _with_start(read[0], config)
     preset = imu_class(read[0].imu)
-    config = _as_given(_of_class(preset, config), given)
+    config = as_given(of_class(preset, config), given)
     read_with_s = config.dvl.latency_s
     config = _calibrated([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
     read = [_later(dive, config.dvl.latency_s - read_with_s) for dive in read]
-    config, better = _with_biases_of_class(config, given, preset)
+    config, better = with_biases_of_class(config, given, preset)
     if better != preset and not given.has("noise"):
-        known = [_middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
+        known = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in read]
         again = calibrate_dives(known, config, [NOISE]).found
-        config, preset = _as_given(_with_noise(config, answer_of(again).applied(again)), given), better
+        config, preset = with_noise(config, answer_of(again).applied(again), given), better
     config, started = _with_heading([with_reference_at_imu(dive, config) for dive in read], config, given, notes)
-    config = _levelled(read[0], config, given, started, preset, notes)
+    config = levelled_to_dives(read[:1], config, given, started, preset, notes)
     if len(read) > 1:
         names = listed([dive.name for dive in read])
         notes.append(
@@ -134,7 +116,7 @@ def find_settings(dives: Sequence[Paths], given: Given, *, allow_damaged: bool =
     if whole.keys:
         notes.append(found_note("found_given", f"{AS_GIVEN}{listed(whole.keys)}"))
     return FoundSettings(
-        _as_given(config, whole), tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING))
+        as_given(config, whole), tuple(sorted(notes, key=lambda note: note.severity != Severity.WARNING))
     )
 
 
@@ -156,7 +138,7 @@ def _first_with_roles(
             failures[paths[0]] = error
             continue
         notes += found
-        return paths, _with_latitude(_as_given(config, given), readings.reference, notes), cost
+        return paths, _with_latitude(as_given(config, given), readings.reference, notes), cost
     raise failures[dives[0][0]]
 
 
@@ -328,16 +310,6 @@ def _differences(own: Config, others: Config) -> list[str]:
     return words[:MOST_DIFFERENCES]
 
 
-def _as_given(found: Config, given: Given) -> Config:
-    """Return settings with those that are given."""
-    for section in ("imu", "dvl", "reference", "initial", "noise"):
-        now = getattr(given.config, section)
-        values = {key: getattr(now, key) for key in now.__struct_fields__ if given.has(f"{section}.{key}")}
-        found = with_values(found, section, **{key: value for key, value in values.items() if value is not None})
-    are_given = given.has("filters") or given.config.filters != Config().filters
-    return msgspec.structs.replace(found, filters=given.config.filters) if are_given else found
-
-
 def _later(dive: Dive, latency_s: float) -> Dive:
     """Return a dive with the pings of another latency, which is subtracted from stamps as a log is read."""
     time_ns = dive.dvl.time_ns - nanoseconds(latency_s)
@@ -359,19 +331,8 @@ def stored_settings(folder: Path, given: Given) -> Config | None:
     comments = " ".join(line[1:].strip() for line in file.read_text("utf-8").splitlines() if line.startswith("#"))
     is_same = f"{AS_GIVEN}{listed(given.keys)}" in comments if given.keys else AS_GIVEN not in comments
     config = given.config
-    same = is_same and _as_given(found, given) == found and found.topics == config.topics
+    same = is_same and as_given(found, given) == found and found.topics == config.topics
     return found if same and (found.span, found.evaluation) == (config.span, config.evaluation) else None
-
-
-# --- The class of the IMU.
-
-
-def _of_class(preset: str, config: Config) -> Config:
-    """Set the noise, the biases and the filters of a preset."""
-    found = load_config(preset)
-    config = msgspec.structs.replace(config, noise=found.noise, filters=found.filters)
-    keys = ("accel_bias_sd_mg", "gyro_bias_sd_degph", "uncertainty")
-    return with_values(config, "initial", **{key: getattr(found.initial, key) for key in keys})
 
 
 # --- The start.
@@ -427,7 +388,7 @@ def _with_heading(dives: Sequence[Dive], config: Config, given: Given, notes: li
 
 def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list[Note]) -> Config:
     """Apply the calibration that is better on the held-out part; what is given is not calibrated."""
-    read = [_middle(ReadDive(dive, config)) for dive in dives]
+    read = [middle(ReadDive(dive, config)) for dive in dives]
     groups = [group for group, key in GROUPS.items() if not given.has(f"dvl.{key}")]
     groups += [] if given.has("noise") else [NOISE]
     if not groups:
@@ -435,7 +396,7 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list
     try:
         # The noise is fitted once the geometry is known.
         geometry = [group for group in groups if group != NOISE] or groups
-        found = calibrate_dives(_parts(read), config, geometry, hold_out=["0.3"], windows_s=("60", "30")).found
+        found = calibrate_dives(halves(read), config, geometry, hold_out=["0.3"], windows_s=("60", "30")).found
     except UserError as error:
         notes.append(
             found_note("found_calibration", f"the geometry of the DVL was not calibrated: {error.what}", warn=True)
@@ -445,7 +406,7 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list
     if not any(row.windows for row in found.held_out):
         # Nothing shows the drift: the innovations of the rest decide, of each part of a dive alone by the other.
         if len(read) == 1:
-            other = calibrate_dives(_parts(read)[::-1], config, geometry, hold_out=["0.3"], windows_s=("60",)).found
+            other = calibrate_dives(halves(read)[::-1], config, geometry, hold_out=["0.3"], windows_s=("60",)).found
             found = replace(found, held_out=(*found.held_out, *other.held_out))
         before, after = _mean_nis(found)
         answer = replace(answer, keeps_geometry=bool(found.estimated) and after > before)
@@ -470,65 +431,13 @@ def _calibrated(dives: Sequence[Dive], config: Config, given: Given, notes: list
     if NOISE in groups:
         # A noise belongs to the geometry with which it is fitted.
         shift_s = config.dvl.latency_s - read[0].config.dvl.latency_s
-        known = [_middle(ReadDive(_later(dive, shift_s), config)) for dive in dives]
+        known = [middle(ReadDive(_later(dive, shift_s), config)) for dive in dives]
         if answer.keeps_geometry or not changes:
-            found = calibrate_dives(_parts(known), config, [NOISE], hold_out=["0.3"]).found
+            found = calibrate_dives(halves(known), config, [NOISE], hold_out=["0.3"]).found
         else:
             found = calibrate_dives(known, config, [NOISE]).found
-        config = _as_given(_with_noise(config, answer_of(found).applied(found)), given)
+        config = with_noise(config, answer_of(found).applied(found), given)
     return config
-
-
-def _with_noise(config: Config, found: Calibration) -> Config:
-    for row in found.noise_rows:
-        if row.is_proposed:
-            section = "dvl" if row.parameter in ("velocity_sd_mps", "beam_sd_mps") else "noise"
-            config = with_values(config, section, **{row.parameter: row.after})
-    return config
-
-
-def _with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Config, str]:
-    """Take the biases of the class that the white noise belongs to, where it is better than that of the scatter.
-
-    Coarse steps of the readings, and the vehicle's motion, scatter more than a good sensor.
-    """
-    usual = load_config(preset).noise
-    fitted = {key: getattr(config.noise, key) for key in INERTIAL}
-    if any(value == getattr(usual, key) for key, value in fitted.items()):
-        return config, preset
-    classes = [noise_class(key, value) or preset for key, value in fitted.items()]
-    better = max(classes, key=GRADES.index)
-    if GRADES.index(better) >= GRADES.index(preset):
-        return config, preset
-    return _as_given(with_values(_of_class(better, config), "noise", **fitted), given), better
-
-
-def _span_s(dive: ReadDive) -> tuple[float, float]:
-    span, time_ns = dive.config.span, dive.dive.imu.time_ns
-    length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
-    return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
-
-
-def _within(dive: ReadDive, from_s: float, to_s: float) -> ReadDive:
-    span = msgspec.structs.replace(dive.config.span, start_s=from_s, end_s=to_s)
-    return dive.with_config(msgspec.structs.replace(dive.config, span=span))
-
-
-def _middle(dive: ReadDive) -> ReadDive:
-    """Return the middle of a long dive."""
-    from_s, to_s = _span_s(dive)
-    aside_s = 0.5 * (to_s - from_s - LONGEST_S)
-    return dive if aside_s <= 0.0 else _within(dive, from_s + aside_s, to_s - aside_s)
-
-
-def _parts(read: Sequence[ReadDive]) -> list[ReadDive]:
-    """Return the dives to calibrate; one alone is divided, and its last part is the one that is held out."""
-    if len(read) > 1:
-        return list(read)
-    (dive,) = read
-    from_s, to_s = _span_s(dive)
-    divide_s = from_s + FITTED_SHARE * (to_s - from_s)
-    return [_within(dive, from_s, divide_s), _within(dive, divide_s, to_s)]
 
 
 def _drift_sentence(found: Calibration) -> str:
@@ -545,52 +454,3 @@ def _mean_nis(found: Calibration) -> tuple[float, float]:
     rows = [(row.nis_per_dof_before, row.nis_per_dof_after) for row in found.held_out]
     before, after = np.exp(np.mean(np.log(np.array(rows, float)), axis=0)).tolist()
     return before, after
-
-
-def _levelled(dive: Dive, config: Config, given: Given, started: Initial, preset: str, notes: list[Note]) -> Config:
-    """Scale the noise of the DVL until the innovations are as large as expected, where they are not."""
-    key = "velocity_sd_mps" if config.dvl.beam_sd_mps is None else "beam_sd_mps"
-
-    def size_with(tried: Config) -> float:
-        return baseline_fit(dive, msgspec.structs.replace(tried, initial=started))[0]
-
-    def scaled(config: Config, size: float, *keys: tuple[str, str]) -> tuple[Config, float]:
-        is_free = not given.has(*(f"{section}.{name}" for section, name in keys))
-        for _ in range(MOST_ROUNDS if is_free else 0):
-            tried = config
-            for section, name in keys:
-                value = float(f"{getattr(getattr(config, section), name) * np.sqrt(size):.3g}")
-                if not beyond_the_sensor(name, value):
-                    tried = with_values(tried, section, **{name: value})
-            if WELL_ABOVE < size < WELL_BELOW or tried == config:
-                break
-            config, size = tried, size_with(tried)
-        return config, size
-
-    before, first = config, size_with(config)
-    config, size = scaled(before, first, ("dvl", key))
-    if size < LEAST_NIS and not given.has("noise"):
-        # The noise of the IMU decides. It is at most the scatter of the readings.
-        for name, field in INERTIAL.items():
-            most = readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s)
-            quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
-            if not beyond_the_sensor(name, quieter):
-                config = with_values(config, "noise", **{name: quieter})
-        both = ("dvl", key), ("noise", "accel_white_mps_rts")
-        config, size = scaled(config, size_with(config), *both)
-        config, preset = _with_biases_of_class(config, given, preset)
-        config, size = scaled(config, size_with(config), *both)
-    free = [name for name in INERTIAL if not given.has(f"noise.{name}")]
-    text = f"noise of preset {preset}, the class of this IMU" if free else "noise of the IMU as given"
-    fitted = [name for name in free if getattr(load_config(preset).noise, name) != getattr(config.noise, name)]
-    if fitted:
-        values = (f"{name} {getattr(config.noise, name):.3g}" for name in fitted)
-        text += f"; fitted to the innovations: {', '.join(values)}"
-    old_mps, new_mps = getattr(before.dvl, key), getattr(config.dvl, key)
-    if old_mps != new_mps:
-        text += f"; {key} {old_mps:.3g} -> {new_mps:.3g}, since NIS/dof was {first:.2g}"
-    is_fitting = LEAST_NIS < size < MOST_NIS
-    if not is_fitting:
-        text += f"; NIS/dof is still {size:.2g}, which no noise of these sensors explains"
-    notes.append(found_note("found_noise", text, warn=not is_fitting))
-    return config

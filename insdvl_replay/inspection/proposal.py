@@ -8,11 +8,9 @@ a person can know is a comment. Every other key has the likeliest value, so the 
 """
 
 import re
-import textwrap
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Final
@@ -20,10 +18,11 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from insdvl_replay.calibration.found import comment_lines
 from insdvl_replay.checks.imu import SPIN_RADPS
 from insdvl_replay.checks.reference import velocity_misfit
-from insdvl_replay.core.config import Config, Imu, Initial, flattened
-from insdvl_replay.core.config_file import load_config, toml_value
+from insdvl_replay.core.config import Config, Imu, Initial
+from insdvl_replay.core.config_file import toml_value
 from insdvl_replay.core.dive_columns import Floats, ImuColumns
 from insdvl_replay.core.dive_record import Clock
 from insdvl_replay.core.errors import LogError, Note, listed, visible
@@ -38,7 +37,6 @@ from insdvl_replay.core.units import (
     VELOCITY_BY_SIZE,
     VELOCITY_UNITS,
 )
-from insdvl_replay.core.words import Severity
 from insdvl_replay.inspection.dry_run import (
     AS_GRAVITY_MPS2,
     DryRun,
@@ -88,28 +86,6 @@ class Setting:
         return self.key.rpartition(".")[2]
 
 
-@dataclass(frozen=True)
-class Given:
-    """Settings that a person has given, which a search leaves as they are."""
-
-    config: Config
-    named: Collection[str] = ()  # keys that were given, which may have the value of the default
-
-    @cached_property
-    def keys(self) -> list[str]:
-        """The keys that are given or not as by default, except for the span and the evaluation."""
-        default = dict(flattened(msgspec.to_builtins(Config())))
-        # What a dive without settings is replayed with, which nobody has given either.
-        without = dict(flattened(msgspec.to_builtins(load_config())))
-        values = flattened(msgspec.to_builtins(self.config))
-        keys = [key for key, value in values if value not in (default.get(key), without.get(key)) or key in self.named]
-        return [key for key in keys if not key.startswith(("span.", "evaluation."))]
-
-    def has(self, *names: str) -> bool:
-        """Return whether any of some keys is given, or any key of some sections."""
-        return any(f"{key}.".startswith(f"{name}.") for key in self.keys for name in names)
-
-
 def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
     """Set what has a value."""
     for setting in settings:
@@ -117,16 +93,6 @@ def with_settings(config: Config, settings: Iterable[Setting]) -> Config:
             section = msgspec.structs.replace(getattr(config, setting.section), **{setting.name: setting.value})
             config = msgspec.structs.replace(config, **{setting.section: section})
     return config
-
-
-def with_values(config: Config, section: str, **values: Any) -> Config:
-    """Set keys of one section."""
-    return with_settings(config, [Setting(f"{section}.{key}", value) for key, value in values.items()])
-
-
-def found_note(code: str, text: str, hint: str = "", *, warn: bool = False) -> Note:
-    """Report what was found; a warning where it is assumed."""
-    return Note(code, text, 1, Severity.WARNING if warn else Severity.INFO, hint)
 
 
 def not_yet_set(settings: Iterable[Setting], config: Config) -> list[Setting]:
@@ -165,18 +131,6 @@ def settings_toml(settings: Iterable[Setting]) -> str:
                 lines += [*comment_lines(seen), f"# or {visible(value)}"]
         sections.append("".join(f"{line}\n" for line in lines))
     return "\n".join(sections)
-
-
-def comment_lines(text: str) -> list[str]:
-    """Fold a comment at words."""
-    return textwrap.wrap(
-        visible(text),
-        79,
-        initial_indent="# ",
-        subsequent_indent="#   ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
 
 
 def _fields(key: str, candidates: Sequence[FieldMatch], to_decide: str = "") -> Setting:

@@ -9,6 +9,7 @@ from typing import Any, Final
 import msgspec
 import numpy as np
 
+from insdvl_replay.calibration.found import Given, found_note, with_values
 from insdvl_replay.checks.dvl import median_speed_mps
 from insdvl_replay.checks.imu import ENOUGH, length_refusal, rate_remark
 from insdvl_replay.checks.reference import is_of_dvl, says_anything
@@ -23,16 +24,7 @@ from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import AS_GRAVITY_MPS2, fitting_units
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
-from insdvl_replay.inspection.proposal import (
-    Given,
-    Proposal,
-    Setting,
-    axes_text,
-    found_note,
-    propose_settings,
-    with_settings,
-    with_values,
-)
+from insdvl_replay.inspection.proposal import Proposal, Setting, axes_text, propose_settings, with_settings
 from insdvl_replay.inspection.trials import (
     CLEARLY,
     CONSISTENT,

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from insdvl_replay.calibration.fit import possible_axes, robust_cost
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.calibration.free_mounting import averaged_imu, samples_in_step
 from insdvl_replay.calibration.innovations import NO_CHANGE, ReadDive
 from insdvl_replay.checks.dvl import fit, velocity_pairs
@@ -25,14 +26,18 @@ from insdvl_replay.core.runtime import parallel_map
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import horizontal
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat
-from insdvl_replay.inspection.proposal import Given, axes_text, level_axes
+from insdvl_replay.inspection.proposal import axes_text, level_axes
 from insdvl_replay.logs.columns.imu import FRD, in_frd, turned_to_body
 
 STRETCH_S: Final = 240.0
 PING_STEP_S: Final = 0.5
 FEWEST: Final = 3  # averaged samples, and pings, of which a stretch can be replayed
 COARSE: Final = Noise(
-    accel_white_mps_rts=0.01, gyro_white_rad_rts=2e-4, accel_bias_walk_mps2_rts=1e-5, gyro_bias_walk_radps_rts=1e-7
+    accel_white_mps_rts=0.01,
+    gyro_white_rad_rts=2e-4,
+    accel_bias_walk_mps2_rts=1e-5,
+    gyro_bias_walk_radps_rts=1e-7,
+    fit=(),
 )
 CLEARLY: Final = 0.8  # ratio of costs below which another hypothesis is better
 COHERENT: Final = 0.95

@@ -7,9 +7,8 @@ from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from msgspec.structs import asdict
-from msgspec.structs import replace as changed
 
-from insdvl_replay.core.config import Acceleration, Config, Filter, Noise
+from insdvl_replay.core.config import Acceleration, Config, Filter, InertialNoise
 from insdvl_replay.core.dive_columns import NS_PER_S, Floats, SensorColumns, TimeNs, seconds
 from insdvl_replay.core.errors import ConfigError, LogError, Note
 from insdvl_replay.core.quantities import HELD_OUT
@@ -62,7 +61,7 @@ class ResolvedFilter:
     name: str
     aiding: tuple[str, ...]  # ``velocity``, ``acceleration``, in the order in which they are applied
     dvl_noise: DvlNoise
-    inertial_noise: Noise
+    inertial_noise: InertialNoise
     gate_probability: float
     gate_reopen_after: int  # rejected velocities in a row after which the INS is set to the DVL; 0: never
     acceleration: Acceleration
@@ -161,14 +160,15 @@ def resolve_filter(name: str, filter_: Filter, config: Config) -> ResolvedFilter
     states = tuple(block for block in MORE_STATES if block in needed)
     more_sd = np.array([sd for block in states for sd in MORE_SD[block](config)], dtype=np.float64)
     fades = np.array([block == "heading_bias" for block in states for _ in MORE_STATES[block]], dtype=np.float64)
-    own_noise = {key: value for key in Noise.__struct_fields__ if (value := getattr(filter_, key)) is not None}
+    inertial = {key: getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
+    own_noise = {key: value for key in inertial if (value := getattr(filter_, key)) is not None}
     keys: tuple[Literal["beam_sd_mps", "velocity_sd_mps"], ...] = ("beam_sd_mps", "velocity_sd_mps")
     dvl_noise = ((key, getattr(section, key)) for section in (filter_, config.dvl) for key in keys)
     return ResolvedFilter(
         name,
         filter_.aiding,
         next(DvlNoise(key, sd_mps) for key, sd_mps in dvl_noise if sd_mps is not None),
-        changed(config.noise, **own_noise),
+        InertialNoise(**inertial | own_noise),
         filter_.gate_probability,
         filter_.gate_reopen_after,
         filter_.acceleration or Acceleration(),

@@ -408,12 +408,17 @@ class MisfitError(LogError):
     """The settings do not fit the dive, so that its filters would say nothing."""
 
 
-def require_fit_of(dive: Dive, config: Config) -> None:
-    """Raise a MisfitError if the settings do not fit. A simulated dive has the noise of the defaults, or less."""
+def require_described(dive: Dive) -> None:
+    """Raise a MisfitError if axes or units are wrong, or if nobody has described the vehicle: simulated dives are."""
     if misread := next((note for note in dive.notes if note.code in MISREAD), None):
         raise MisfitError(f"{dive.name}: {misread.text}", misread.hint)
     if dive.truth is None:
-        raise MisfitError(f"{dive.name}: nobody has chosen the noise of its sensors", "set [noise], or use a --preset")
+        raise MisfitError(f"{dive.name}: nobody has described its sensors", "give their settings with -c")
+
+
+def require_fit_of(dive: Dive, config: Config) -> None:
+    """Raise a MisfitError if the settings do not fit."""
+    require_described(dive)
     size, rejected = baseline_fit(dive, config)
     if size > MOST_NIS or rejected > MANY_REJECTED:
         text = f"NIS/dof of the baseline is {size:.2g}, and it rejects {rejected:.0%} of the velocities"

@@ -16,7 +16,7 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import without_marks
-from insdvl_replay.inspection.proposal import Given
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.inspection.roles import RoleReadings, read_roles
 from insdvl_replay.inspection.trials import thinned
 

@@ -1,0 +1,134 @@
+"""The noise of many dives that nobody has given: fitted once to the dives with the same settings, before their replays.
+
+Results of earlier runs keep it in their `vehicle.toml`. It is fitted anew once there is another dive among them.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from typing import Final
+
+import msgspec
+
+from insdvl_replay.batch.jobs import ReplayJob, known_reports
+from insdvl_replay.core.config import Config
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.errors import UserError
+from insdvl_replay.core.result import Report
+from insdvl_replay.results.folder import VEHICLE_FILE
+
+FITTED_NOTE: Final = "found_noise"
+
+
+def with_fitted_noise(
+    jobs: Sequence[ReplayJob],
+    *,
+    force: bool,
+    rerun: bool = False,
+    while_fitting: Callable[[], AbstractContextManager[object]] = nullcontext,  # shows that it takes time
+) -> tuple[list[ReplayJob], bool]:
+    """Return jobs whose settings have a noise, and whether they may replace the results that are there.
+
+    A noise that was given stays. Results with a noise that was fitted to other dives are replaced.
+    """
+    fitted = dict[int, ReplayJob]()
+    for place, job in enumerate(jobs):
+        if place in fitted or job.error is not None or not job.options.config.noise.fit:
+            continue
+        same = [other for other in range(place, len(jobs)) if _is_alike(jobs[other], job)]
+        group = [jobs[other] for other in same]
+        known = [] if rerun else _with_known_noise(group)
+        if not known:
+            force = force or _replaces_fitted(group)
+            known_reports(group, force=force, rerun=rerun)  # a result that may not be replaced stops it here
+            with while_fitting():
+                known = _with_new_noise(group)
+        fitted |= dict(zip(same, known, strict=True))
+    return [fitted.get(place, job) for place, job in enumerate(jobs)], force
+
+
+def with_noise_of_first(
+    before: Sequence[ReplayJob], after: Sequence[ReplayJob], *, force: bool
+) -> tuple[list[ReplayJob], bool]:
+    """Return the jobs of two sides, the same dives each. Both have the noise that is fitted with the first settings."""
+    from insdvl_replay.calibration.fitted_noise import with_noise_of
+
+    known, force = with_fitted_noise(before, force=force)
+    changed = list[ReplayJob]()
+    for planned, fitted, job in zip(before, known, after, strict=True):
+        if fitted != planned:
+            options = replace(job.options, config=with_noise_of(job.options.config, fitted.options.config))
+            changed.append(replace(job, options=replace(options, found=fitted.options.found)))
+        else:
+            changed.append(job)
+    others, force = with_fitted_noise(changed, force=force)
+    return [*known, *others], force
+
+
+def _is_alike(other: ReplayJob, job: ReplayJob) -> bool:
+    return other.error is None and other.options == job.options
+
+
+def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
+    """Fit the noise to dives with the same settings."""
+    from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs  # heavy, and often not needed
+
+    options = jobs[0].options
+    found = fit_noise_of_logs(
+        [job.logs for job in jobs],
+        options.config,
+        allow_damaged=options.allow_damaged,
+        must_be_described=options.require_fit,
+    )
+    if not found.notes:
+        return list(jobs)
+    notes = (*options.found, *found.notes)
+    return [
+        replace(job, options=replace(job.options, config=found.config, found=notes, vehicle=found.text)) for job in jobs
+    ]
+
+
+def _with_known_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
+    """Take the noise of an earlier run over the same dives; empty if there is none, or if any dive is new."""
+    config = _stored_noise(jobs[0])
+    if config is None:
+        return []
+    known = list[ReplayJob]()
+    for job in jobs:
+        report = _report_with(job, config)
+        if report is None:
+            return []
+        notes = tuple(note for note in report.notes if note.code.startswith("found_"))
+        known.append(replace(job, options=replace(job.options, config=config, found=notes)))
+    return known
+
+
+def _replaces_fitted(jobs: Sequence[ReplayJob]) -> bool:
+    """Return whether all results in the way of dives are of an earlier fit with their settings."""
+    stored = [(job, _stored_noise(job)) for job in jobs if job.target.exists()]
+    return all(config is not None and _report_with(job, config) is not None for job, config in stored)
+
+
+def _stored_noise(job: ReplayJob) -> Config | None:
+    """Return the settings of an earlier result if they are those of a job with a fitted noise."""
+    from insdvl_replay.calibration.fitted_noise import with_noise_of
+
+    file = job.target / VEHICLE_FILE
+    config = job.options.config
+    try:
+        found = load_config(file=file, allow_code=True) if file.is_file() else None
+    except UserError:
+        return None
+    if found is None:
+        return None
+    # Span and evaluation are not part of what is known of a vehicle.
+    found = msgspec.structs.replace(found, span=config.span, evaluation=config.evaluation)
+    return found if with_noise_of(config, found) == found else None
+
+
+def _report_with(job: ReplayJob, config: Config) -> Report | None:
+    """Return the report of an earlier replay with some fitted settings."""
+    plain = replace(job.options, config=config, tracks=(), history_format="")
+    report = known_reports([replace(job, options=plain)], force=True).get(job.target)
+    is_fitted = report is not None and any(note.code == FITTED_NOTE for note in report.notes)
+    return report if is_fitted else None

@@ -1,0 +1,240 @@
+"""Noise that nobody has given: that of the class of the IMU, fitted to the innovations of the dives' baseline.
+
+Geometry and axes of the sensors are known here. `noise.fit` says what is free; all else stays as it is.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import msgspec
+import numpy as np
+
+from insdvl_replay.calibration.calibration import Calibration
+from insdvl_replay.calibration.dives import answer_of, calibrate_dives
+from insdvl_replay.calibration.found import FoundSettings, Given, as_given, found_note, with_values
+from insdvl_replay.calibration.innovations import NOISE, ReadDive
+from insdvl_replay.calibration.noise import DVL, GRADES, INERTIAL, imu_class, noise_class
+from insdvl_replay.core.config import FREE, Config, Initial, flattened
+from insdvl_replay.core.config_file import load_config
+from insdvl_replay.core.dive_columns import NS_PER_S, Dive
+from insdvl_replay.core.errors import LogError, Note, UserError
+from insdvl_replay.core.runtime import report_stage
+from insdvl_replay.evaluation.notes import beyond_the_sensor, readings_scatter
+from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
+from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS, baseline_fit, require_described
+
+MOST_DIVES: Final = 5  # dives from which noise, and all settings of unknown logs, are found
+LONGEST_S: Final = 2400.0  # of a dive, from which geometry and noise are fitted
+FITTED_SHARE: Final = 0.5  # of a dive alone; the rest tests what was found
+MOST_ROUNDS: Final = 4  # in which the noise is scaled
+WELL_ABOVE, WELL_BELOW = 0.6, 1.7  # mean NIS/dof outside which the noise of the DVL is changed
+FITTED_NOTE: Final = "found_noise"
+TO_SET: Final = "to set it: [noise] with dvl.velocity_sd_mps, or --preset"
+
+
+def fit_noise_of_logs(
+    logs: Sequence[Sequence[Path]],  # of one vehicle, each a dive
+    config: Config,
+    *,
+    allow_damaged: bool = False,
+    must_be_described: bool = False,  # leave out dives for which all settings have to be found
+) -> FoundSettings:
+    """Fit what `noise.fit` frees to the first `MOST_DIVES` dives that can be replayed.
+
+    Without any, the settings are returned as they are: the replay of each dive says what is wrong with it.
+    """
+    if not config.noise.fit:
+        return FoundSettings(config, ())
+    report_stage("fitting the noise")
+    alone = _with_baseline_alone(config)
+    dives = list[Dive]()
+    for paths in logs[:MOST_DIVES]:
+        with suppress(UserError):
+            dive = read_checked_dive(paths, alone, allow_damaged=allow_damaged)
+            if must_be_described:
+                require_described(dive)
+            baseline_fit(dive, alone)
+            dives.append(dive)
+    return fit_noise_of_dives(dives, config) if dives else FoundSettings(config, ())
+
+
+def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
+    """Fit what `noise.fit` frees to dives of one vehicle. The note says which noise they are replayed with."""
+    alone = _with_baseline_alone(config)
+    fixed = [key for word, keys in FREE.items() if word not in config.noise.fit for key in keys]
+    values = [key for key, _ in flattened(msgspec.to_builtins(alone))]
+    given = Given(alone, [key for key in values if any(f"{key}.".startswith(f"{name}.") for name in fixed)])
+    preset = max((imu_class(dive.imu) for dive in dives), key=GRADES.index)
+    found = as_given(of_class(preset, alone), given)
+    notes = list[Note]()
+    with suppress(UserError):  # too short a dive leaves the noise of the class
+        found = _fitted(dives, found, given)
+    found, better = with_biases_of_class(found, given, preset)
+    if better != preset:
+        preset = better
+        with suppress(UserError):
+            found = _fitted(dives, found, given)
+    found = levelled_to_dives(dives, found, given, found.initial, preset, notes)
+    found = msgspec.structs.replace(
+        with_values(config, "initial", **_values(found, "biases")), noise=found.noise, dvl=found.dvl,
+        filters=load_config(preset).filters if "filters" in config.noise.fit else config.filters,
+    )  # fmt: skip
+    return FoundSettings(found, tuple(notes))
+
+
+def with_noise_of(config: Config, fitted: Config) -> Config:
+    """Set what `noise.fit` frees to the values of settings whose noise is fitted."""
+    free = config.noise.fit
+    for word in free:
+        if word != "filters":
+            section = FREE[word][0].partition(".")[0]
+            values = _values(fitted, word)
+            changed = msgspec.structs.replace(getattr(config, section), **values)
+            config = msgspec.structs.replace(config, **{section: changed})
+    filters = fitted.filters if "filters" in free else config.filters
+    return msgspec.structs.replace(with_values(config, "noise", fit=()), filters=filters)
+
+
+def _values(config: Config, word: str) -> dict[str, object]:
+    """Return the values of the keys that a word of `noise.fit` frees, by their names in their section."""
+    pairs = (key.split(".") for key in FREE[word])
+    return {name: getattr(getattr(config, section), name) for section, name in pairs}
+
+
+def _with_baseline_alone(config: Config) -> Config:
+    """Return the settings with the filter that the noise is fitted for."""
+    filters = load_config(GRADES[0]).filters if "filters" in config.noise.fit else config.filters
+    return msgspec.structs.replace(config, filters=dict([next(iter(filters.items()))]))
+
+
+def _fitted(dives: Sequence[Dive], config: Config, given: Given) -> Config:
+    """Fit the noise to the innovations of all dives together; of one alone, the second half tests it if it is long."""
+    read = [middle(ReadDive(with_reference_at_imu(dive, config), config)) for dive in dives]
+    try:
+        found = calibrate_dives(halves(read), config, [NOISE], hold_out=["0.3"]).found
+    except LogError:
+        found = calibrate_dives(read, config, [NOISE]).found
+    return with_noise(config, answer_of(found).applied(found), given)
+
+
+# --- What a search for all settings uses, too.
+
+
+def of_class(preset: str, config: Config) -> Config:
+    """Set the noise, the biases and the filters of a preset."""
+    found = load_config(preset)
+    config = msgspec.structs.replace(config, noise=found.noise, filters=found.filters)
+    keys = ("accel_bias_sd_mg", "gyro_bias_sd_degph")
+    return with_values(config, "initial", **{key: getattr(found.initial, key) for key in keys})
+
+
+def with_noise(config: Config, found: Calibration, given: Given) -> Config:
+    """Set the noise that a calibration proposes, except for what is given."""
+    changed = config
+    for row in found.noise_rows:
+        is_of_dvl = row.parameter in DVL
+        if row.is_proposed and not (is_of_dvl and given.has(*FREE["dvl"])):
+            changed = with_values(changed, "dvl" if is_of_dvl else "noise", **{row.parameter: row.after})
+    return as_given(changed, given)
+
+
+def with_biases_of_class(config: Config, given: Given, preset: str) -> tuple[Config, str]:
+    """Take the biases of the class that the white noise belongs to, where it is better than that of the scatter.
+
+    Coarse steps of the readings, and the vehicle's motion, scatter more than a good sensor.
+    """
+    usual = load_config(preset).noise
+    fitted = {key: getattr(config.noise, key) for key in INERTIAL}
+    if any(value == getattr(usual, key) for key, value in fitted.items()):
+        return config, preset
+    classes = [noise_class(key, value) or preset for key, value in fitted.items()]
+    better = max(classes, key=GRADES.index)
+    if GRADES.index(better) >= GRADES.index(preset):
+        return config, preset
+    return as_given(with_values(of_class(better, config), "noise", **fitted), given), better
+
+
+def _span_s(dive: ReadDive) -> tuple[float, float]:
+    span, time_ns = dive.config.span, dive.dive.imu.time_ns
+    length_s = float(time_ns[-1] - time_ns[0]) / NS_PER_S
+    return span.start_s or 0.0, min(span.end_s or np.inf, length_s)
+
+
+def _within(dive: ReadDive, from_s: float, to_s: float) -> ReadDive:
+    span = msgspec.structs.replace(dive.config.span, start_s=from_s, end_s=to_s)
+    return dive.with_config(msgspec.structs.replace(dive.config, span=span))
+
+
+def middle(dive: ReadDive) -> ReadDive:
+    """Return the middle of a long dive."""
+    from_s, to_s = _span_s(dive)
+    aside_s = 0.5 * (to_s - from_s - LONGEST_S)
+    return dive if aside_s <= 0.0 else _within(dive, from_s + aside_s, to_s - aside_s)
+
+
+def halves(read: Sequence[ReadDive]) -> list[ReadDive]:
+    """Return the dives to calibrate; one alone is divided, and its last part is the one that is held out."""
+    if len(read) > 1:
+        return list(read)
+    (dive,) = read
+    from_s, to_s = _span_s(dive)
+    divide_s = from_s + FITTED_SHARE * (to_s - from_s)
+    return [_within(dive, from_s, divide_s), _within(dive, divide_s, to_s)]
+
+
+def levelled_to_dives(
+    dives: Sequence[Dive], config: Config, given: Given, started: Initial, preset: str, notes: list[Note]
+) -> Config:
+    """Scale the noise of the DVL until the innovations are as large as expected, where they are not."""
+    key = "velocity_sd_mps" if config.dvl.beam_sd_mps is None else "beam_sd_mps"
+
+    def size_with(tried: Config) -> float:
+        replayed = msgspec.structs.replace(tried, initial=started)
+        return float(np.mean([baseline_fit(dive, replayed)[0] for dive in dives]))
+
+    def scaled(config: Config, size: float, *keys: tuple[str, str]) -> tuple[Config, float]:
+        is_free = not given.has(*(f"{section}.{name}" for section, name in keys))
+        for _ in range(MOST_ROUNDS if is_free else 0):
+            tried = config
+            for section, name in keys:
+                value = float(f"{getattr(getattr(config, section), name) * np.sqrt(size):.3g}")
+                if not beyond_the_sensor(name, value):
+                    tried = with_values(tried, section, **{name: value})
+            if WELL_ABOVE < size < WELL_BELOW or tried == config:
+                break
+            config, size = tried, size_with(tried)
+        return config, size
+
+    config, size = scaled(config, size_with(config), ("dvl", key))
+    if size < LEAST_NIS and not given.has("noise"):
+        # The noise of the IMU decides. It is at most the scatter of the readings.
+        for name, field in INERTIAL.items():
+            most = max(readings_scatter(getattr(dive.imu, field), dive.imu.usual_step_s) for dive in dives)
+            quieter = float(f"{min(getattr(config.noise, name), most):.3g}")
+            if not beyond_the_sensor(name, quieter):
+                config = with_values(config, "noise", **{name: quieter})
+        both = ("dvl", key), ("noise", "accel_white_mps_rts")
+        config, size = scaled(config, size_with(config), *both)
+        config, preset = with_biases_of_class(config, given, preset)
+        config, size = scaled(config, size_with(config), *both)
+    is_fitting = LEAST_NIS < size < MOST_NIS
+    text = f"{_noise_sentence(config, given, key, preset)}; NIS/dof of the baseline {size:.2g}"
+    text += "" if is_fitting else ", which no noise of these sensors explains"
+    notes.append(found_note(FITTED_NOTE, text, TO_SET, warn=not is_fitting))
+    return config
+
+
+def _noise_sentence(config: Config, given: Given, dvl_key: str, preset: str) -> str:
+    """Say which noise was fitted, which is that of the class, and which was given."""
+    usual = load_config(preset).noise
+    words = {"fitted": list[str](), "of the class": list[str](), "given": list[str]()}
+    for name in INERTIAL:
+        value = getattr(config.noise, name)
+        source = "of the class" if value == getattr(usual, name) else "fitted"
+        words["given" if given.has(f"noise.{name}") else source].append(f"{name} {value:.3g}")
+    dvl = f"{dvl_key} {getattr(config.dvl, dvl_key):.3g}"
+    words["given" if given.has(f"dvl.{dvl_key}") else "fitted"].append(dvl)
+    parts = [f"{', '.join(values)} ({source})" for source, values in words.items() if values]
+    return f"noise fitted to these dives, class {preset}: {'; '.join(parts)}"

@@ -1,0 +1,85 @@
+"""Settings that a person has given, and those that were found beside them."""
+
+import textwrap
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import msgspec
+
+from insdvl_replay.core.config import FREE, Config, flattened
+from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.errors import Note, visible
+from insdvl_replay.core.words import Severity
+
+
+@dataclass(frozen=True)
+class Given:
+    """Settings that a person has given, which a search leaves as they are."""
+
+    config: Config
+    named: Collection[str] = ()  # keys that were given, which may have the value of the default
+
+    @cached_property
+    def keys(self) -> list[str]:
+        """The keys that are given or not as by default, except for the span and the evaluation."""
+        default = dict(flattened(msgspec.to_builtins(Config())))
+        named = set(self.named)
+        if "imu" not in self.config.noise.fit:
+            named |= {*FREE["imu"]}
+        values = flattened(msgspec.to_builtins(self.config))
+        keys = [key for key, value in values if value != default.get(key) or key in named]
+        return [key for key in keys if not key.startswith(("span.", "evaluation.", "noise.fit"))]
+
+    def has(self, *names: str) -> bool:
+        """Return whether any of some keys is given, or any key of some sections."""
+        return any(f"{key}.".startswith(f"{name}.") for key in self.keys for name in names)
+
+
+def with_values(config: Config, section: str, **values: Any) -> Config:
+    """Set the keys of one section that have a value."""
+    known = {key: value for key, value in values.items() if value is not None}
+    changed = msgspec.structs.replace(getattr(config, section), **known)
+    return msgspec.structs.replace(config, **{section: changed})
+
+
+def found_note(code: str, text: str, hint: str = "", *, warn: bool = False) -> Note:
+    """Report what was found; a warning where it is assumed."""
+    return Note(code, text, 1, Severity.WARNING if warn else Severity.INFO, hint)
+
+
+def comment_lines(text: str) -> list[str]:
+    """Fold a comment at words."""
+    return textwrap.wrap(
+        visible(text),
+        79,
+        initial_indent="# ",
+        subsequent_indent="#   ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+@dataclass(frozen=True)
+class FoundSettings:
+    """Settings with which dives can be replayed, and what was found or assumed."""
+
+    config: Config
+    notes: tuple[Note, ...]  # warnings first
+
+    @property
+    def text(self) -> str:
+        """Return the settings as a file for ``-c``, which holds what differs from the defaults."""
+        comments = [line for note in self.notes for line in comment_lines(note.text)]
+        return "".join(f"{line}\n" for line in comments) + f"\n{render_toml(self.config, changed_only=True)}"
+
+
+def as_given(found: Config, given: Given) -> Config:
+    """Return settings with those that are given."""
+    for section in ("imu", "dvl", "reference", "initial", "noise"):
+        now = getattr(given.config, section)
+        values = {key: getattr(now, key) for key in now.__struct_fields__ if given.has(f"{section}.{key}")}
+        found = with_values(found, section, **{key: value for key, value in values.items() if value is not None})
+    are_given = given.has("filters") or given.config.filters != Config().filters
+    return msgspec.structs.replace(found, filters=given.config.filters) if are_given else found
