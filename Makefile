@@ -1,4 +1,4 @@
-# `make demo` and `make test` need nothing but Python 3.11 or newer and make; all installs go to .venv.
+# `make demo` shows the paper's settings. It and `make test` need nothing but Python 3.11 or newer and make; all installs go to .venv.
 
 PYTHON ?= python3
 BIN := .venv/bin
@@ -11,7 +11,7 @@ SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 .PHONY: calibrated calibration demo test nightly net golden extras lowest quick processors check lint bench judge attack lock samples schemas pictures readme inputs reference reproduce benchmark docs clean
 
 demo: .venv/run.stamp
-	$(BIN)/insdvl-replay run $(SAMPLES) --output replay --force --rerun
+	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
 
 # Seven minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
 test: .venv/test.stamp

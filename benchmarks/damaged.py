@@ -17,6 +17,7 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, ImuColumns
@@ -24,7 +25,6 @@ from insdvl_replay.core.errors import UserError
 from insdvl_replay.core.states import DEG, STANDARD_GRAVITY_MPS2
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.automatic import FoundSettings, find_settings
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.columns.imu import in_frd
 from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS, MisfitError

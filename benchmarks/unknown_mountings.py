@@ -19,6 +19,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 from results import machine, table, write_part
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive, Floats
 from insdvl_replay.core.errors import UserError
@@ -27,7 +28,6 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.geometry.frames import north_east_m, solve_beams
 from insdvl_replay.geometry.rotation import mat_from_rpy, quat_from_mat, rpy_from_mat, vector_from_mat
 from insdvl_replay.inspection.automatic import find_settings
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.logs.columns.imu import in_frd
 from insdvl_replay.preparation.prepared import read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import prepare_with_heading, prepared_timeline, run_one

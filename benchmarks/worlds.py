@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from sea_worlds import Sea, SeaDvl, SeaReference, Voyage
 
-from insdvl_replay.core.config import Acceleration, Config, Filter, Initial, Noise
+from insdvl_replay.core.config import Acceleration, Config, Filter, InertialNoise, Initial
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
@@ -109,7 +109,7 @@ def _by_acceleration(acceleration: Acceleration, **told: Any) -> Filter:
 
 def _scaled_noise(config: Config, factor: float) -> dict[str, float]:
     """Give a filter inertial noise whose standard deviations are larger by a factor."""
-    return {key: factor * getattr(config.noise, key) for key in Noise.__struct_fields__}
+    return {key: factor * getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
 
 
 def _paper() -> World:
@@ -125,7 +125,7 @@ def _paper() -> World:
 def _over_confident() -> World:
     """Tell the filters how noisy the sensors are, but one of them another DVL; they start as unsure as the paper's."""
     errors, dvl_errors = GRADES["fog"], DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
-    told = {key: getattr(errors, key) for key in Noise.__struct_fields__}
+    told = {key: getattr(errors, key) for key in InertialNoise.__struct_fields__}
     filters = {
         "baseline": _by_velocity(velocity_sd_mps=0.001, **told),
         "right": _by_velocity(beam_sd_mps=dvl_errors.beam_sd_mps, **told),

@@ -162,8 +162,8 @@ def replay_log(
     log : str, Path or sequence of them
         An MCAP file or a bag folder, or several of one dive.
     config : Config, str, Path or sequence of them, optional
-        From `load_config`, or TOML files as for it. Default: the default settings. Noise that they do not give is fitted
-        to the dive, and a note says so.
+        From `load_config`, or TOML files as for it. Default: the default settings. Noise that they do not
+        give is fitted to the dive, and a note says so.
     allow_damaged : bool
         Use the readable part of a damaged log.
     name : str, optional

@@ -26,12 +26,12 @@ EVERY = 5
 
 def sample(name: str) -> Replay:
     """Replay a sample log."""
-    return replay_log(PROJECT / "sample_logs" / f"{name}.mcap", load_config())
+    return replay_log(PROJECT / "sample_logs" / f"{name}.mcap", load_config("levy-klein"))
 
 
 def lawnmower() -> Replay:
     """Replay legs and U-turns."""
-    return replay_dive(simulate_dive("lawnmower", seed=1), load_config())
+    return replay_dive(simulate_dive("lawnmower", seed=1), load_config("levy-klein"))
 
 
 def titled(replay: Replay, title: str) -> Figure:

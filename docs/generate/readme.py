@@ -38,7 +38,7 @@ def archive() -> str:
     """What is printed for the dives of the example archive."""
     with TemporaryDirectory() as folder:
         shutil.copytree(PROJECT / "examples" / "archive" / "dives", Path(folder) / "examples" / "archive" / "dives")
-        command = "run", "examples/archive/dives"
+        command = "run", "examples/archive/dives", "--preset", "levy-klein"
         first = printed(Path(folder), *command).splitlines()[:HEAD]
         return "\n".join(["```console", f"$ insdvl-replay {' '.join(command)} | head -n {HEAD}", *first, "```"])
 

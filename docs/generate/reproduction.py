@@ -90,8 +90,8 @@ class Findings:
 
 def find(folder: Path) -> Findings:
     """Repeat everything that can be repeated."""
-    config = load_config()
-    with_published = load_config(overrides=[PUBLISHED_FILTER])
+    config = load_config("levy-klein")
+    with_published = load_config("levy-klein", overrides=[PUBLISHED_FILTER])
     montecarlo, ensembles = study_montecarlo("lawnmower", config)
     return Findings(
         straight=sample("straight", with_published),

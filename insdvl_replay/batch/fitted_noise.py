@@ -40,7 +40,7 @@ def with_fitted_noise(
         known = [] if rerun else _with_known_noise(group)
         if not known:
             force = force or _replaces_fitted(group)
-            known_reports(group, force=force, rerun=rerun)  # a result that may not be replaced stops it here
+            known_reports([_as_stored(job) for job in group], force=force, rerun=rerun)  # may it be replaced?
             with while_fitting():
                 known = _with_new_noise(group)
         fitted |= dict(zip(same, known, strict=True))
@@ -124,6 +124,12 @@ def _stored_noise(job: ReplayJob) -> Config | None:
     # Span and evaluation are not part of what is known of a vehicle.
     found = msgspec.structs.replace(found, span=config.span, evaluation=config.evaluation)
     return found if with_noise_of(config, found) == found else None
+
+
+def _as_stored(job: ReplayJob) -> ReplayJob:
+    """Return a job with the noise of its earlier result, which is no difference of settings."""
+    config = _stored_noise(job)
+    return job if config is None else replace(job, options=replace(job.options, config=config))
 
 
 def _report_with(job: ReplayJob, config: Config) -> Report | None:

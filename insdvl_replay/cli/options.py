@@ -80,7 +80,7 @@ Preset = Annotated[
     typer.Option(
         "--preset",
         metavar="NAME",
-        help="Settings to start from: levy-klein (the default), fog, tactical or mems.",
+        help="Settings to start from: levy-klein (the paper's), fog, tactical or mems.",
         autocompletion=_names("core.config_file", "PRESETS"),
     ),
 ]

@@ -108,6 +108,9 @@ def run(
     and calibrated; what --set or --preset gives stays. stderr says what was found or assumed. vehicle.toml in the
     result holds these settings for -c.
 
+    Noise that neither --preset nor -c nor --set gives is fitted to the dives together, by the class of their IMU and
+    the innovations. A line says which noise it is. `--preset levy-klein` is the paper's.
+
     --against KEY=VALUE replays each dive twice, without and with the setting, into the folders before and after. It
     prints for each filter whether the setting helped, as `compare` does.
 
@@ -434,7 +437,7 @@ def outcomes_without_settings(
             found = find_settings([dive.logs for dive in dives], given, allow_damaged=options.allow_damaged)
     except UserError as error:
         if isinstance(first.result, MisfitError):
-            text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"
+            text = f"no settings were found: {error.message}. The default settings are used, with a noise of the IMU's class"
             note = Note("found_nothing", text, 1, Severity.WARNING, error.hint)
             planned = with_options(unfitted, found=(note,))
             yield from outcomes_as_planned(planned, jobs, None, force=force, rerun=rerun)

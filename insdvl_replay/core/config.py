@@ -364,7 +364,7 @@ class Noise(InertialNoise, frozen=True):
             "what is fitted to the dives, or taken from the IMU's class: imu | dvl | biases | filters; left out: all "
             "that is not given, and nothing with a preset or another key of [noise]"
         ),
-    ] = ("imu", "dvl", "biases", "filters")
+    ] = ()
 
 
 class Acceleration(Section, frozen=True):
@@ -502,7 +502,7 @@ class Config(Section, frozen=True):
     position: Position = Position()
     reference: Reference = Reference()
     initial: Initial = Initial()
-    noise: Noise = Noise()
+    noise: Noise = Noise(fit=("imu", "dvl", "biases", "filters"))  # while nobody gives any
     clocks: Clocks = Clocks()
     span: Span = Span()
     evaluation: Evaluation = Evaluation()

@@ -681,7 +681,9 @@ def render_toml(config: Config, *, changed_only: bool = False) -> str:
 
 def _toml_lines(section: Struct, path: str, *, changed_only: bool) -> Iterator[str]:
     hints = get_type_hints(type(section), include_extras=True)
+    usual = _AS_BY_DEFAULT.get(path.rstrip("."))  # of a section that is always there
     default = {field.name: field.default for field in msgspec.structs.fields(section)} if path else _AS_BY_DEFAULT
+    default = msgspec.structs.asdict(usual) if isinstance(usual, Struct) else default
     tables: list[tuple[str, Struct]] = []
     names = section.__struct_fields__
     if isinstance(section, Filter):

@@ -37,7 +37,6 @@ COARSE: Final = Noise(
     gyro_white_rad_rts=2e-4,
     accel_bias_walk_mps2_rts=1e-5,
     gyro_bias_walk_radps_rts=1e-7,
-    fit=(),
 )
 CLEARLY: Final = 0.8  # ratio of costs below which another hypothesis is better
 COHERENT: Final = 0.95

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from insdvl_replay import replay_log
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, nanoseconds
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.automatic import find_settings
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.run import LEAST_NIS, MOST_NIS
 from insdvl_replay.replay import replay_log as replayed

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.calibration.free_mounting import angle_between
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
@@ -13,7 +14,6 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import solve_beams
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.free_turns import in_body, turn_freely
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.inspection.trials import Hypothesis, Trials, rpy_of, thinned, trial_config
 from insdvl_replay.sim.dive import simulate_dive
 

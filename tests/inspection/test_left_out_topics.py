@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rosbag_messages import START_NS, Message, header, write_log, xyz
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.core.config import Config, Imu
 from insdvl_replay.core.dive_columns import Dive, DvlColumns, ImuColumns
 from insdvl_replay.core.dive_record import Clock
@@ -16,7 +17,6 @@ from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.inspection import automatic
 from insdvl_replay.inspection.clock_words import clock_words, is_other_clock
 from insdvl_replay.inspection.dry_run import without_marks
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.inspection.roles import RoleReadings, read_roles
 from insdvl_replay.inspection.trials import thinned
 

@@ -11,6 +11,7 @@ import pytest
 import unknown_logs
 from mcap.writer import Writer
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.calibration.noise import imu_class
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
@@ -21,7 +22,6 @@ from insdvl_replay.core.states import DEG
 from insdvl_replay.core.words import Consistency
 from insdvl_replay.geometry.rotation import mat_from_rpy
 from insdvl_replay.inspection.automatic import SettingsFile, settings_file
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.logs import write_dive
 from insdvl_replay.replay import replay_log
 from insdvl_replay.sim.dive import simulate_dive

@@ -8,10 +8,10 @@ import pytest
 from made_tables import tables_of
 
 from insdvl_replay.api import replay_log
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.core.config import Config
 from insdvl_replay.geometry.frames import solve_beams
 from insdvl_replay.inspection.automatic import find_settings
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.inspection.proposal import propose_settings
 from insdvl_replay.inspection.table_clocks import stretched_rate_hz
 from insdvl_replay.sim.dive import simulate_dive

@@ -13,13 +13,13 @@ from frames import frames
 from mcap.writer import Writer
 from unknown_logs import decided
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.core.tables import Tables
 from insdvl_replay.inspection.automatic import find_settings
 from insdvl_replay.inspection.dry_run import FieldMatch
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.inspection.survey import inspect_log
 from insdvl_replay.logs import read_dive, write_dive
 from insdvl_replay.logs.formats.fields import check_path

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from insdvl_replay.calibration.found import Given
 from insdvl_replay.checks.imu import imu_remarks
 from insdvl_replay.core.config import Config, Dvl, Imu
 from insdvl_replay.core.dive_columns import ImuColumns
 from insdvl_replay.core.errors import LogError
 from insdvl_replay.inspection.automatic import find_settings
-from insdvl_replay.calibration.found import Given
 from insdvl_replay.logs import read_dive
 from insdvl_replay.logs.formats.recording import Recording, open_recording
 from insdvl_replay.logs.formats.table_times import CALENDARS, likely_unit, shift_ns, text_times, unwrapped
