@@ -188,10 +188,10 @@ def study_row(runs: int, jobs: int) -> str:
     took_s = []
     for _ in range(ROUNDS):
         start_s = time.perf_counter()
-        study_montecarlo("lawnmower", load_config(), runs=runs, jobs=jobs)
+        study_montecarlo("lawnmower", load_config("levy-klein"), runs=runs, jobs=jobs)
         took_s.append(time.perf_counter() - start_s)
     with stages_timed() as spent:
-        study_montecarlo("lawnmower", load_config(), runs=10, jobs=1)
+        study_montecarlo("lawnmower", load_config("levy-klein"), runs=10, jobs=1)
     seconds = median(took_s)
     stages = " | ".join(f"{100.0 * spent[stage]:.0f}" for stage in STAGES.values())
     return f"| {runs} | {jobs} | {seconds:.1f} | {runs / seconds:.1f} | {stages} |"

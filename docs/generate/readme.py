@@ -77,7 +77,7 @@ def paper() -> str:
     for name in SAMPLES:
         course = paper_tables.read_course(name)
         with TemporaryDirectory() as output:
-            printed(PROJECT, "run", f"sample_logs/{name}.mcap", "--output", output)
+            printed(PROJECT, "run", f"sample_logs/{name}.mcap", "--preset", "levy-klein", "--output", output)
             ours = json.loads((Path(output) / name / "report.json").read_bytes())["filters"]["aided"]
         nearest_pct, crossing_pct = (ours[f"mean_{how}_improvement_pct"] for how in ("nearest_approach", "convergence"))
         rows.append(

@@ -231,8 +231,9 @@ def check(
     """Check dives against gates, for example in a nightly job.
 
     Logs are replayed first, if the log, the settings, the versions or the code have changed since the last result.
-    Result folders are used as they are. Noise that the gates do not name is fitted to the dives, as in `run`. Every gate is evaluated on every dive. A missing or empty value never passes.
-    The exit code is 0 if no gate of level error failed, 1 if one did, 3 if a dive cannot be used.
+    Noise that the gates do not name is fitted to the dives, as in `run`. Result folders are used as they are. Every
+    gate is evaluated on every dive. A missing or empty value never passes. The exit code is 0 if no gate of level
+    error failed, 1 if one did, 3 if a dive cannot be used.
 
     \b
     Example:

@@ -437,7 +437,7 @@ def outcomes_without_settings(
             found = find_settings([dive.logs for dive in dives], given, allow_damaged=options.allow_damaged)
     except UserError as error:
         if isinstance(first.result, MisfitError):
-            text = f"no settings were found: {error.message}. The default settings are used, with a noise of the IMU's class"
+            text = f"no settings were found: {error.message}. The default settings are used, which nobody has chosen"
             note = Note("found_nothing", text, 1, Severity.WARNING, error.hint)
             planned = with_options(unfitted, found=(note,))
             yield from outcomes_as_planned(planned, jobs, None, force=force, rerun=rerun)

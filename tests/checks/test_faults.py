@@ -21,7 +21,7 @@ from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import Replay, replay_log
 from insdvl_replay.sim.dive import simulate_dive
 
-CONFIG = load_config()
+CONFIG = load_config("levy-klein")
 
 
 @pytest.fixture(scope="module")

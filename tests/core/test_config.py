@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from insdvl_replay.core.config import Acceleration, Config, Dvl, Filter
+from insdvl_replay.core.config import FREE, Acceleration, Config, Dvl, Filter, Noise
 from insdvl_replay.core.config_file import PRESETS, load_config, render_toml
 from insdvl_replay.core.errors import ConfigError
 
@@ -23,19 +23,41 @@ RUN = '[filters.a]\naiding = ["velocity"]\n[filters.b]\n'
 """Settings with a baseline, before the keys of another filter."""
 
 
-def test_the_default_is_the_papers_setting() -> None:
-    config = load_config()
-    assert config == load_config("levy-klein")
-    assert config == msgspec.structs.replace(
-        Config(), initial=msgspec.structs.replace(Config().initial, uncertainty="settings")
-    )
+def test_the_papers_setting_is_a_preset_and_the_default_fits_the_noise() -> None:
+    config, paper = load_config(), load_config("levy-klein")
+    assert config == Config()
+    assert config.noise.fit == tuple(FREE)
+    assert (paper.noise, paper.initial.uncertainty) == (Noise(), "settings")
     assert (config.baseline, list(config.filters)) == ("baseline", ["baseline", "aided"])
 
 
+@pytest.mark.parametrize(
+    ("text", "fitted"),
+    [
+        ("[dvl]\nscale = 1.01\n", ("imu", "dvl", "biases", "filters")),
+        ("[dvl]\nvelocity_sd_mps = 0.02\n", ("imu", "biases", "filters")),
+        ("[initial]\ngyro_bias_sd_degph = 10.0\n", ("imu", "dvl", "filters")),
+        ('[filters.baseline]\naiding = ["velocity"]\n', ("imu", "dvl", "biases")),
+        ('[filters.baseline]\naiding = ["velocity"]\nbeam_sd_mps = 0.01\n', ("imu", "biases")),
+        ("[noise]\ngyro_white_rad_rts = 3.7e-5\n", ()),
+        ("[noise]\nfit = []\n", ()),
+        ('[noise]\nfit = ["dvl"]\ngyro_white_rad_rts = 1e-5\n', ("dvl",)),
+    ],
+)
+def test_what_nobody_gives_of_the_noise_is_fitted(text: str, fitted: tuple[str, ...], tmp_path: Path) -> None:
+    """Also a value that is that of the default counts as given."""
+    file = written(tmp_path, text)
+    config = load_config(file=file)
+    assert config.noise.fit == fitted
+    assert load_config("fog", file).noise.fit == (fitted if "fit" in text else ())
+    for changed_only in (False, True):
+        again = written(tmp_path, render_toml(config, changed_only=changed_only))
+        assert load_config(file=again).noise == config.noise
+
+
 def test_only_the_papers_setting_starts_as_uncertain_as_the_settings(tmp_path: Path) -> None:
-    """Which is named, or the default; a file of a vehicle begins with the defaults."""
     file = written(tmp_path, "[dvl]\nscale = 1.01\n")
-    assert load_config(overrides=["dvl.scale=1.01"]).initial.uncertainty == "settings"
+    assert load_config(overrides=["dvl.scale=1.01"]).initial.uncertainty == "source"
     assert load_config("levy-klein", file).initial.uncertainty == "settings"
     assert load_config(None, file).initial.uncertainty == "source"
     assert load_config("fog").initial.uncertainty == "source"

@@ -291,7 +291,7 @@ def test_file_that_could_not_be_read_back_is_not_put_in_place(
 
 
 def test_the_start_of_a_dive_without_settings_is_not_given() -> None:
-    """The default preset starts as the settings say, which must not bind a search."""
     assert Given(load_config()).keys == []
+    assert Given(load_config("levy-klein")).has("noise.gyro_white_rad_rts", "initial.uncertainty")
     as_set = ["initial.uncertainty=settings"]
     assert Given(load_config(overrides=as_set), given_keys(None, (), as_set)).keys == ["initial.uncertainty"]

@@ -84,7 +84,7 @@ def aided_run(told: Model) -> tuple[Floats, Floats]:
 
 @pytest.fixture(scope="module")
 def program_sd() -> Floats:
-    _, aided = replay_dive(exact_dive("straight", duration_s=float(DURATION_S)), load_config()).histories
+    _, aided = replay_dive(exact_dive("straight", duration_s=float(DURATION_S)), load_config("levy-klein")).histories
     sd: Floats = aided.sd[-1]
     return sd
 

@@ -65,7 +65,7 @@ def test_published_means_are_those_of_the_rows_where_none_counts_as_nothing(name
 def test_figure_eight_next_to_the_paper() -> None:
     """What nobody has fitted: improvements within two points; horizontal biases are far off, and six times agree."""
     log = reproduction.PROJECT / "sample_logs" / "figure_eight.mcap"
-    found = paper_tables.compared("figure_eight", replay_log(log, load_config()))
+    found = paper_tables.compared("figure_eight", replay_log(log, load_config("levy-klein")))
     published = found.course.rows
     improvement = found.improvement.loc[published.index, "improvement_pct"]
     assert (improvement - published["improvement_pct"]).abs().max() < 2.0
@@ -90,7 +90,7 @@ def test_without_the_eight_dives_nothing_of_them_is_replayed(tmp_path: Path) -> 
 def test_reasons_given_for_the_rows_that_disagree_hold() -> None:
     text = reproduction.PAGE.read_text("utf-8")
     phi_n = STATES[3]
-    aided = replay_log(SAMPLE, load_config()).histories[1]
+    aided = replay_log(SAMPLE, load_config("levy-klein")).histories[1]
     assert f"at its largest, {aided.sd[:, phi_n.index].max() / phi_n.factor:.2f} mrad" in text
     override = "initial.misalignment_sd_deg=[0.485,0.485,0.5]"
     assert f"`--set {override}`" in text

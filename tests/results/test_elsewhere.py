@@ -92,7 +92,7 @@ def test_both_readers_of_ros_read_every_message_with_the_values_of_the_tables(re
 def messages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The last message of each topic."""
     folder = tmp_path_factory.mktemp("layouts")
-    save_replay(replay_log(PROJECT / "sample_logs" / "straight.mcap", load_config()), folder)
+    save_replay(replay_log(PROJECT / "sample_logs" / "straight.mcap", load_config("levy-klein")), folder)
     with (folder / "replay.mcap").open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return {channel.topic: decoded for _, channel, _, decoded in reader.iter_decoded_messages()}

@@ -62,7 +62,7 @@ def page_tables(report: Report) -> list[DisplayTable]:
 
 @pytest.fixture(scope="module")
 def replay() -> Replay:
-    return replay_log(SAMPLE, load_config())
+    return replay_log(SAMPLE, load_config("levy-klein"))
 
 
 @pytest.fixture(scope="module")
@@ -253,7 +253,7 @@ def test_a_dive_without_a_reference_fits_a_terminal(alone: Replay, tmp_path: Pat
 def test_a_long_dive_stays_small_and_shows_its_outage(tmp_path: Path) -> None:
     """Three hours, many times as many samples as a panel has columns: more make the page no larger."""
     dive = simulate_dive("lawnmower", seed=3, duration_s=3 * 3600.0, outages=[(6000.0, 6600.0)])
-    _, _, data = saved(replay_dive(dive, load_config()), tmp_path / "long")
+    _, _, data = saved(replay_dive(dive, load_config("levy-klein")), tmp_path / "long")
     assert len(data) < 600_000
     assert b"time [h]" in data
     assert b"94.4 %" in data

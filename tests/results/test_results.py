@@ -30,7 +30,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The same log replayed twice."""
     folders = tmp_path_factory.mktemp("once"), tmp_path_factory.mktemp("again")
     for folder in folders:
-        save_replay(replay_log(SAMPLE, load_config()), folder)
+        save_replay(replay_log(SAMPLE, load_config("levy-klein")), folder)
     return folders
 
 

@@ -220,7 +220,7 @@ def test_start_is_off_by_what_the_configuration_says() -> None:
 def verdicts() -> pd.DataFrame:
     """Judge two filters on a world that is as they believe, and the same two where the IMU is far better."""
     told = study_montecarlo("figure-eight", MATCHED, runs=RUNS, duration_s=DURATION_S)[0]
-    better = study_montecarlo("figure-eight", load_config(), runs=20, duration_s=DURATION_S, imu="fog")[0]
+    better = study_montecarlo("figure-eight", load_config("levy-klein"), runs=20, duration_s=DURATION_S, imu="fog")[0]
     tables = [told.tables["verdicts"].assign(world="told"), better.tables["verdicts"].assign(world="better")]
     return pd.concat(tables).set_index(["world", "filter"])
 

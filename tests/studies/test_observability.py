@@ -59,7 +59,7 @@ def _turns() -> Iterator[None]:
 
 
 def study(scenario: str, *, earth_rate: bool) -> Result:
-    return study_observability(scenario, load_config(), earth_rate=earth_rate)
+    return study_observability(scenario, load_config("levy-klein"), earth_rate=earth_rate)
 
 
 def ranks(report: Result) -> dict[str, int]:
@@ -346,7 +346,7 @@ def last_updated_sd(history: History) -> Floats:
 
 def test_what_is_left_is_what_the_filter_predicts_after_the_last_ping() -> None:
     """Along the exact motion nothing is corrected, and the recursion is that of the filter with the same aiding."""
-    config = load_config()
+    config = load_config("levy-klein")
     dive = exact_dive("figure-eight", lever_arm_m=config.dvl.lever_arm_m)
     velocity, aided = replay_dive(dive, config).histories
     windowed = config.filters["aided"].acceleration
@@ -403,7 +403,7 @@ def test_settings_of_one_vehicle_do_not_bend_a_scenario() -> None:
 
 def test_neither_log_nor_scenario_is_an_error() -> None:
     with pytest.raises(ConfigError, match="strait: ") as caught:
-        study_observability("strait", load_config())
+        study_observability("strait", load_config("levy-klein"))
     assert "straight" in caught.value.hint
 
 

@@ -109,7 +109,7 @@ def test_noise_falls_as_the_closed_form_of_a_slope() -> None:
     rng = np.random.default_rng(5)
     sd_mps, n = 0.02, np.arange(2, 9)
     dive = level_dive(np.zeros((1990, 3)), rng.normal(0.0, sd_mps, (390, 3)))
-    table, differentiated_s, _ = dive_windows(dive, load_config(), 8)
+    table, differentiated_s, _ = dive_windows(dive, load_config("levy-klein"), 8)
     expected = sd_mps * np.sqrt(3.0) * np.sqrt(12.0 / (n * (n**2 - 1.0)))
     for at in ("middle", "end"):
         np.testing.assert_allclose(rmse_of(table, at)[n], expected, rtol=0.12)
@@ -121,7 +121,7 @@ def test_steady_jerk_is_met_at_the_middle_and_missed_by_half_a_window_at_the_end
     reference_s, ping_s = np.arange(1990) / 5.0, 1.1 + np.arange(390)
     forward = np.array([[1.0, 0.0, 0.0]])
     dive = level_dive(0.5 * jerk * reference_s[:, None] ** 2 * forward, 0.5 * jerk * ping_s[:, None] ** 2 * forward)
-    table, _, _ = dive_windows(dive, load_config(), 6)
+    table, _, _ = dive_windows(dive, load_config("levy-klein"), 6)
     np.testing.assert_allclose(rmse_of(table, "middle"), 0.0, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(rmse_of(table, "end"), jerk * (np.arange(2, 7) - 1) / 2.0, rtol=0.0, atol=1e-9)
 
@@ -129,7 +129,7 @@ def test_steady_jerk_is_met_at_the_middle_and_missed_by_half_a_window_at_the_end
 def test_all_windows_are_evaluated_at_the_same_pings() -> None:
     measured = np.zeros((390, 3))
     measured[200:203] = np.nan
-    table, _, notes = dive_windows(level_dive(np.zeros((1990, 3)), measured), load_config(), 10)
+    table, _, notes = dive_windows(level_dive(np.zeros((1990, 3)), measured), load_config("levy-klein"), 10)
     assert table["samples"].unique().tolist() == [390 - 3 - 2 * 9]
     assert "dvl_no_velocity" in {note.code for note in notes}
 
@@ -138,7 +138,7 @@ def test_lever_arm_matters_in_turns_and_is_compensated_by_the_gyro() -> None:
     arm = (-1.8, 0.1, 0.3)
     with_arm = load_config(overrides=[f"dvl.lever_arm_m={list(arm)}"])
     turning, _, _ = dive_windows(exact_dive("figure-eight", lever_arm_m=arm, dvl_rate_hz=2.0), with_arm, 4)
-    alone, _, _ = dive_windows(exact_dive("figure-eight", dvl_rate_hz=2.0), load_config(), 4)
+    alone, _, _ = dive_windows(exact_dive("figure-eight", dvl_rate_hz=2.0), load_config("levy-klein"), 4)
     np.testing.assert_allclose(rmse_of(turning, "middle", "compensated"), rmse_of(alone, "middle"), rtol=0.0, atol=1e-5)
     assert (rmse_of(turning, "middle", "ignored") > 0.05).all()
 
@@ -148,9 +148,9 @@ def test_velocities_serve_as_well_as_the_beams_they_come_from() -> None:
     assert dive.dvl.beam_velocity_mps is not None
     assert dive.dvl.beam_vectors_d is not None
     velocity_d = dive.dvl.beam_velocity_mps @ np.linalg.pinv(dive.dvl.beam_vectors_d).T
-    beams, _, _ = dive_windows(dive, load_config(), 5)
+    beams, _, _ = dive_windows(dive, load_config("levy-klein"), 5)
     velocities, _, _ = dive_windows(
-        replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=velocity_d)), load_config(), 5
+        replace(dive, dvl=DvlColumns(dive.dvl.time_ns, velocity_d=velocity_d)), load_config("levy-klein"), 5
     )
     np.testing.assert_allclose(beams["rmse_mps2"], velocities["rmse_mps2"], rtol=0.0, atol=1e-9)
 
@@ -161,19 +161,19 @@ def test_velocities_serve_as_well_as_the_beams_they_come_from() -> None:
 def test_dive_without_reference_says_so() -> None:
     dive = replace(exact_dive("straight", duration_s=60.0), reference=None)
     with pytest.raises(LogError, match=r"straight: .*reference") as caught:
-        dive_windows(dive, load_config(), 5)
+        dive_windows(dive, load_config("levy-klein"), 5)
     assert "reference.topic" in caught.value.hint
 
 
 def test_windows_longer_than_the_dive_say_so() -> None:
     with pytest.raises(LogError, match=r" 60 .* 100 ") as caught:
-        dive_windows(exact_dive("straight", duration_s=60.0), load_config(), 100)
+        dive_windows(exact_dive("straight", duration_s=60.0), load_config("levy-klein"), 100)
     assert "--longest 50" in caught.value.hint
 
 
 def test_two_logs_of_one_name_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"a/dive\.mcap .*b/dive\.mcap"):
-        study_window([Path("a/dive.mcap"), Path("b/dive.mcap")], load_config())
+        study_window([Path("a/dive.mcap"), Path("b/dive.mcap")], load_config("levy-klein"))
 
 
 def test_pause_that_starts_a_window_is_that_of_the_filter() -> None:
