@@ -7,11 +7,12 @@ import msgspec
 import numpy as np
 import pytest
 
+from insdvl_replay.calibration.found import FoundSettings
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
-from insdvl_replay.inspection.automatic import FoundSettings
+from insdvl_replay.inspection.automatic import settings_of_one
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.run import fitted_start
 from insdvl_replay.sim.dive import simulate_dive
@@ -32,7 +33,8 @@ def test_heading_of_a_short_dive_is_fitted_to_its_fixes() -> None:
 
 def test_what_differs_is_named() -> None:
     imu = msgspec.structs.replace(Config().imu, specific_force_scale=0.54)
-    own = FoundSettings(msgspec.structs.replace(Config(), imu=imu), ()).as_own("dive_2", Config())
+    found = FoundSettings(msgspec.structs.replace(Config(), imu=imu), ())
+    own = settings_of_one(found, "dive_2", Config())
     (note,) = own.notes
     assert note.code == "found_own"
     assert "dive_2" in note.text
