@@ -36,6 +36,11 @@ from insdvl_replay.show.text import for_terminal
 GOLDEN = Path(__file__).parent / "golden"
 PROJECT = Path(__file__).resolve().parents[2]
 ROWS = 24
+# With the paper's settings, for which nothing has to be fitted.
+RUN = (
+    *(sys.executable, "-m", "insdvl_replay", "run"),
+    *(str(PROJECT / "sample_logs" / "figure_eight.mcap"), "--preset", "levy-klein"),
+)
 THIRTEEN = ("best", "wide", "worse", "dead", *(f"dive {number}" for number in range(1, 10)))
 
 
@@ -43,7 +48,7 @@ def on_terminal(folder: Path, *options: str, columns: int = 80, **variables: str
     """Run the figure-eight on a terminal of so many columns, and return what it shows; stderr is the terminal, too."""
     ours, theirs = pty.openpty()
     ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, columns, 0, 0))
-    command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+    command = RUN
     environment = {name: value for name, value in os.environ.items() if name not in ("NO_COLOR", "COLUMNS")}
     process = subprocess.Popen(
         [*command, *options], cwd=folder, stdout=theirs, stderr=theirs,
@@ -67,7 +72,7 @@ def screen_lines(text: str) -> list[str]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the result lies already, so that a run only shows it."""
     made = tmp_path_factory.mktemp("screens")
-    command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+    command = RUN
     environment = os.environ | {"PYTHONPATH": str(PROJECT)}
     subprocess.run(command, cwd=made, check=True, capture_output=True, env=environment)
     return made
@@ -137,7 +142,7 @@ def test_notes_end_with_where_to_learn_more(folder: Path) -> None:
 
 
 def test_a_pipe_has_no_colours_and_folds_nothing(folder: Path) -> None:
-    command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+    command = RUN
     done = subprocess.run(
         command, cwd=folder, check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(PROJECT)}
     )
@@ -387,7 +392,7 @@ def write_golden() -> Iterator[str]:
     GOLDEN.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as name:
         made = Path(name)
-        command = [sys.executable, "-m", "insdvl_replay", "run", str(PROJECT / "sample_logs" / "figure_eight.mcap")]
+        command = RUN
         environment = os.environ | {"PYTHONPATH": str(PROJECT)}
         for _ in range(2):
             done = subprocess.run(command, cwd=made, check=True, capture_output=True, text=True, env=environment)

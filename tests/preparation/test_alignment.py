@@ -331,7 +331,10 @@ def test_a_bias_that_is_known_costs_nothing(dive: Dive) -> None:
     """A constant error of the gyros that is told beforehand leaves the same dive."""
     bias_b = np.array([0.0, 0.0, 206.0]) * DEG_PER_HOUR
     biased = replace(dive, imu=replace(dive.imu, angular_rate_b=dive.imu.angular_rate_b + bias_b))
-    plain, told = load_config("levy-klein"), load_config(overrides=["initial.gyro_bias_degph=[0.0, 0.0, 206.0]"])
+    plain, told = (
+        load_config("levy-klein"),
+        load_config("levy-klein", overrides=["initial.gyro_bias_degph=[0.0, 0.0, 206.0]"]),
+    )
     without = replay_dive(dive, plain).histories[0]
     known = replay_dive(biased, told).histories[0]
     np.testing.assert_allclose(known.velocity_n, without.velocity_n, atol=1e-9)  # m/s

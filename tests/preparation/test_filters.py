@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from insdvl_replay.batch.noise_tuning import with_tuned_baseline
-from insdvl_replay.core.config import Config, Dvl, Filter, Noise
+from insdvl_replay.core.config import Config, Dvl, Filter, InertialNoise
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
 from insdvl_replay.geometry.frames import DvlMounting, beam_vectors
@@ -145,8 +145,8 @@ def test_own_velocity_noise_moves_the_result_under_a_common_noise_of_beams(dive:
     assert (own.sd[-1, :3] > 1.3 * baseline.sd[-1, :3]).all()
 
 
-@pytest.mark.parametrize("key", Noise.__struct_fields__)
+@pytest.mark.parametrize("key", InertialNoise.__struct_fields__)
 def test_a_density_of_the_filters_own_goes_before_the_common_one(key: str) -> None:
     config, own = Config(), msgspec.structs.replace(Filter(aiding=("velocity",)), **{key: 0.0})
-    assert resolved(own, config).inertial_noise == msgspec.structs.replace(config.noise, **{key: 0.0})
+    assert resolved(own, config).inertial_noise == InertialNoise(**{key: 0.0})
     assert np.count_nonzero(resolved(own, config).noise_density) == 9
