@@ -384,8 +384,9 @@ def compare_settings(
         Replace other results.
     """
     from insdvl_replay.batch.dive_paths import FoundDive
-    from insdvl_replay.batch.fitted_noise import with_noise_of_first
+    from insdvl_replay.batch.fitted_noise import with_same_noise
     from insdvl_replay.batch.jobs import ReplayOptions, known_reports, plan_both_sides, replay_jobs
+    from insdvl_replay.calibration.fitted_noise import with_noise_of
 
     options = (
         ReplayOptions(_settings(before, "before"), allow_damaged),
@@ -393,7 +394,10 @@ def compare_settings(
     )
     dives = [*map(FoundDive, _logs(logs, "logs"))]
     (old, old_jobs), (new, new_jobs) = plan_both_sides(dives, _path("folder", folder), options)
-    jobs, force = with_noise_of_first(old_jobs, new_jobs, force=force)
+    old_jobs, new_jobs = with_same_noise(
+        old_jobs, new_jobs, lambda job, fitted: with_noise_of(job.options.config, fitted), force=force
+    )
+    jobs = [*old_jobs, *new_jobs]
     for outcome in replay_jobs(jobs, known_reports(jobs, force=force), None):
         if isinstance(outcome.result, Exception):
             raise outcome.result
@@ -433,7 +437,7 @@ def check(
     own_files = {file for dive in meant if (file := dive.settings) is not None and config is None}
 
     def replay(jobs: "Sequence[ReplayJob]") -> "Generator[Outcome, None, None]":
-        fitted, _ = with_fitted_noise(jobs, force=True)
+        fitted = with_fitted_noise(jobs, force=True)
         return replay_jobs(fitted, known_reports(fitted, force=True), None)
 
     checked = checked_dives(

@@ -26,10 +26,10 @@ def with_fitted_noise(
     force: bool,
     rerun: bool = False,
     while_fitting: Callable[[], AbstractContextManager[object]] = nullcontext,  # shows that it takes time
-) -> tuple[list[ReplayJob], bool]:
-    """Return jobs whose settings have a noise, and whether they may replace the results that are there.
+) -> list[ReplayJob]:
+    """Return jobs whose settings have a noise. A noise that was given stays.
 
-    A noise that was given stays. Results with a noise that was fitted to other dives are replaced.
+    Results with a noise that was fitted to other dives may be replaced; any other in the way is a ConfigError.
     """
     fitted = dict[int, ReplayJob]()
     for place, job in enumerate(jobs):
@@ -39,30 +39,45 @@ def with_fitted_noise(
         group = [jobs[other] for other in same]
         known = [] if rerun else _with_known_noise(group)
         if not known:
-            force = force or _replaces_fitted(group)
-            known_reports([_as_stored(job) for job in group], force=force, rerun=rerun)  # may it be replaced?
+            group = [_replacing(job, job, force=force, rerun=rerun) for job in group]
             with while_fitting():
                 known = _with_new_noise(group)
         fitted |= dict(zip(same, known, strict=True))
-    return [fitted.get(place, job) for place, job in enumerate(jobs)], force
+    return [fitted.get(place, job) for place, job in enumerate(jobs)]
 
 
-def with_noise_of_first(
-    before: Sequence[ReplayJob], after: Sequence[ReplayJob], *, force: bool
-) -> tuple[list[ReplayJob], bool]:
-    """Return the jobs of two sides, the same dives each. Both have the noise that is fitted with the first settings."""
-    from insdvl_replay.calibration.fitted_noise import with_noise_of
-
-    known, force = with_fitted_noise(before, force=force)
-    changed = list[ReplayJob]()
+def with_same_noise(
+    before: Sequence[ReplayJob],
+    after: Sequence[ReplayJob],
+    changed: Callable[[ReplayJob, Config], Config],  # settings of a job after the change, by those with a noise before
+    *,
+    force: bool,
+    rerun: bool = False,
+    while_fitting: Callable[[], AbstractContextManager[object]] = nullcontext,
+) -> tuple[list[ReplayJob], list[ReplayJob]]:
+    """Return the jobs before and after a change, the same dives each, with a noise that is fitted before it alone."""
+    known = with_fitted_noise(before, force=force, rerun=rerun, while_fitting=while_fitting)
+    others = list[ReplayJob]()
     for planned, fitted, job in zip(before, known, after, strict=True):
-        if fitted != planned:
-            options = replace(job.options, config=with_noise_of(job.options.config, fitted.options.config))
-            changed.append(replace(job, options=replace(options, found=fitted.options.found)))
-        else:
-            changed.append(job)
-    others, force = with_fitted_noise(changed, force=force)
-    return [*known, *others], force
+        config = fitted.options.config
+        if fitted.options != planned.options:
+            options = replace(job.options, config=changed(job, config), found=fitted.options.found)
+            stored = _stored_noise(planned)
+            if stored is not None and stored != config:
+                earlier = replace(job, options=replace(job.options, config=changed(job, stored)))
+                job = _replacing(job, earlier, force=force, rerun=rerun)
+            job = replace(job, options=options)
+        others.append(job)
+    return known, with_fitted_noise(others, force=force, rerun=rerun, while_fitting=while_fitting)
+
+
+def _replacing(job: ReplayJob, earlier: ReplayJob, *, force: bool, rerun: bool) -> ReplayJob:
+    """Let a job replace its result if that has the same settings, but for a noise that was fitted to other dives."""
+    stored = _stored_noise(earlier)
+    if stored is not None:
+        earlier = replace(earlier, options=replace(earlier.options, config=stored))
+    known_reports([earlier], force=force, rerun=rerun)  # raises if it may not be replaced
+    return replace(job, may_replace=not earlier.options.config.noise.fit)
 
 
 def _is_alike(other: ReplayJob, job: ReplayJob) -> bool:
@@ -103,18 +118,14 @@ def _with_known_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:
     return known
 
 
-def _replaces_fitted(jobs: Sequence[ReplayJob]) -> bool:
-    """Return whether all results in the way of dives are of an earlier fit with their settings."""
-    stored = [(job, _stored_noise(job)) for job in jobs if job.target.exists()]
-    return all(config is not None and _report_with(job, config) is not None for job, config in stored)
-
-
 def _stored_noise(job: ReplayJob) -> Config | None:
     """Return the settings of an earlier result if they are those of a job with a fitted noise."""
     from insdvl_replay.calibration.fitted_noise import with_noise_of
 
     file = job.target / VEHICLE_FILE
     config = job.options.config
+    if not config.noise.fit:
+        return None
     try:
         found = load_config(file=file, allow_code=True) if file.is_file() else None
     except UserError:
@@ -124,12 +135,6 @@ def _stored_noise(job: ReplayJob) -> Config | None:
     # Span and evaluation are not part of what is known of a vehicle.
     found = msgspec.structs.replace(found, span=config.span, evaluation=config.evaluation)
     return found if with_noise_of(config, found) == found else None
-
-
-def _as_stored(job: ReplayJob) -> ReplayJob:
-    """Return a job with the noise of its earlier result, which is no difference of settings."""
-    config = _stored_noise(job)
-    return job if config is None else replace(job, options=replace(job.options, config=config))
 
 
 def _report_with(job: ReplayJob, config: Config) -> Report | None:

@@ -81,6 +81,7 @@ class ReplayJob:
     target: Path  # its result folder, which bears the dive's name
     options: ReplayOptions
     replaces: bool = False  # a result was there when the replay was asked for; what comes meanwhile stays
+    may_replace: bool = False  # this result, which has these settings with a noise that was fitted to other dives
     sha256: str | None = None  # of the logs, where a worker may see other files; empty if they cannot be read here
     error: UserError | None = None  # why the dive cannot be had
     vehicle: str = ""  # that its manifest names
@@ -175,10 +176,11 @@ def known_reports(
             if not force:
                 raise ConfigError(report.text, "keep what was changed, or replace it with --force")
             report_note(report)
-        if not force and (reason := _made_otherwise(job)):
+        may_replace = force or job.may_replace
+        if not may_replace and (reason := _made_otherwise(job)):
             hint = "replace it with --force, or keep it and choose another folder with -o"
             raise ConfigError(f"{job.target}: {reason}", hint)
-        require_replaceable_folder(job.target, force=force)
+        require_replaceable_folder(job.target, force=may_replace)
     return known
 
 

@@ -20,7 +20,6 @@ from insdvl_replay.cli.messages import (
     write_stdout,
 )
 from insdvl_replay.core.errors import ConfigError, LimitError, Note, error_context, looked_for, visible
-from insdvl_replay.results.folder import VEHICLE_FILE
 
 if TYPE_CHECKING:
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
@@ -134,6 +133,7 @@ def answer_against(
 ) -> int:
     """Replay dives with the settings and with changed ones, and print the comparison as `compare` does."""
     from insdvl_replay.changes import comparison as changes
+    from insdvl_replay.results.folder import VEHICLE_FILE
 
     limit = changes.parse_limit(fail_on)
     (old, old_jobs), (new, _) = sides
@@ -167,6 +167,8 @@ def answer_against(
 
 def _log_fitted_noise(checked: "Sequence[Checked]") -> None:
     """Say with which noise logs were replayed for which the gates name none."""
+    from insdvl_replay.results.folder import VEHICLE_FILE
+
     said = set[tuple[Note, ...]]()
     for result, folder in checked:
         found = () if isinstance(result, Exception) else tuple(filter(is_finding, result.notes))

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from insdvl_replay.core.result import Report
     from insdvl_replay.show.answers import Failure
 
-    _Sides = tuple[tuple[Path, list[ReplayJob]], tuple[Path, list[ReplayJob]]]
-
 _BEGINNING = 1000  # bytes at the start of a file that identify an overview of this tool
 
 
@@ -172,15 +170,23 @@ def run(
     configs = {file: load(file) for file in {dive.settings for dive in found}}
     changed = _changed_settings(load, configs, against, fail_on, tables, strict=strict)
     if changed:
+        from insdvl_replay.batch.fitted_noise import with_same_noise
         from insdvl_replay.cli.changes import answer_against
 
         both = options, replace(options, config=changed.get(None, options.config))
         sides = plan_both_sides(
             fetch_with_progress(found, offline=offline), output, both, (configs, changed), one_dive=one_dive
         )
-        change = partial(changed_by, against=against, allow_code=allow_code)
-        sides, force = _with_same_noise(sides, change, force=force, rerun=rerun)
-        dives = [job for _, planned in sides for job in planned]
+        (old, before), (new, after) = sides
+        before, after = with_same_noise(
+            before,
+            after,
+            lambda _, config: changed_by(config, against, allow_code=allow_code),
+            force=force,
+            rerun=rerun,
+            while_fitting=_while_fitting,
+        )
+        sides, dives = ((old, before), (new, after)), [*before, *after]
         replays = outcomes(dives, jobs, scheduler, force=force, rerun=rerun, quiet=quiet, lake=lake)
         return answer_against(sides, replays, fail_on, format_, verbose, quiet=quiet)
     dives = plan_jobs(fetch_with_progress(found, offline=offline), output, options, configs, one_dive=one_dive)
@@ -316,30 +322,11 @@ def _changed_settings(
     return changed
 
 
-def _with_same_noise(
-    sides: "_Sides", change: "Callable[[Config], Config]", *, force: bool, rerun: bool
-) -> "tuple[_Sides, bool]":
-    """Fit a noise that nobody has given before a change of settings alone, so that both sides differ by that change."""
-    (old, before), (new, after) = sides
-    known, force = _with_noise(before, force=force, rerun=rerun)
-    changed = list["ReplayJob"]()
-    for planned, fitted, job in zip(before, known, after, strict=True):
-        if fitted != planned:
-            config = change(fitted.options.config)
-            job = replace(job, options=replace(fitted.options, config=config, vehicle=""))
-        changed.append(job)
-    return ((old, known), (new, changed)), force
-
-
-def _with_noise(dives: "Sequence[ReplayJob]", *, force: bool, rerun: bool) -> "tuple[list[ReplayJob], bool]":
-    """Fit the noise that nobody has given, and show the progress on a terminal."""
-    from insdvl_replay.batch.fitted_noise import with_fitted_noise
+def _while_fitting() -> "AbstractContextManager[object]":
+    """Show on a terminal that a noise is fitted."""
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
 
-    def shown() -> "AbstractContextManager[object]":
-        return progress("fitting the noise", REPLAY, compiling())
-
-    return with_fitted_noise(dives, force=force, rerun=rerun, while_fitting=shown)
+    return progress("fitting the noise", REPLAY, compiling())
 
 
 def _tables_of_all(reports: "Sequence[Report | Failure]", tables: list[str], format_: str, *, at_the_end: bool) -> str:
@@ -383,6 +370,7 @@ def outcomes_without_settings(
     dives: "Sequence[ReplayJob]", jobs: int, *, force: bool, rerun: bool
 ) -> "Generator[Outcome, None, None]":
     """Replay the dives of a vehicle that can be replayed as they are; find settings for the others together."""
+    from insdvl_replay.batch.fitted_noise import with_fitted_noise
     from insdvl_replay.batch.jobs import known_reports
     from insdvl_replay.calibration.found import Given
     from insdvl_replay.cli.messages import is_finding
@@ -419,7 +407,7 @@ def outcomes_without_settings(
     # Settings that were found for other dives than these are found again, and replace those.
     force = force or all(not dive.target.exists() or report for dive, report in zip(dives, reports, strict=True))
     unfitted = dives
-    dives, force = _with_noise(dives, force=force, rerun=rerun)
+    dives = with_fitted_noise(dives, force=force, rerun=rerun, while_fitting=_while_fitting)
     (first,) = outcomes_as_planned(dives[:1], 1, None, force=force, rerun=rerun)
     if not _needs_settings(first):
         yield first
@@ -588,12 +576,13 @@ def outcomes_as_planned(
     dives: "Sequence[ReplayJob]", jobs: int, scheduler: str | None, *, force: bool, rerun: bool
 ) -> "Generator[Outcome, None, None]":
     """Replay dives with the settings of their jobs."""
+    from insdvl_replay.batch.fitted_noise import with_fitted_noise
     from insdvl_replay.batch.jobs import known_reports, replay_jobs
     from insdvl_replay.batch.workers import cluster_pool, local_pool
     from insdvl_replay.cli.messages import log_notes
     from insdvl_replay.cli.screen import REPLAY, compiling, progress
 
-    dives, force = _with_noise(dives, force=force, rerun=rerun)
+    dives = with_fitted_noise(dives, force=force, rerun=rerun, while_fitting=_while_fitting)
     known = known_reports(dives, force=force, rerun=rerun, report_note=lambda note: log_notes([note], verbose=True))
     changed = [dive for dive in dives if dive.target not in known]
     if scheduler is None:

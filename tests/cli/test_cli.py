@@ -334,7 +334,7 @@ def test_an_interruption_within_exec_is_130_under_python_m(tmp_path: Path) -> No
 
 @pytest.mark.parametrize("signal_", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM])
 def test_an_interruption_leaves_nothing_half_written(signal_: signal.Signals, dive: Path, tmp_path: Path) -> None:
-    command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "-o", "out"]
+    command = [sys.executable, "-c", WITH_STAND_IN, "run", str(dive), "--preset", "fog", "-o", "out"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "half-written\n"

@@ -26,7 +26,7 @@ STAGES = [
 
 def test_a_replay_reports_each_of_its_stages(tmp_path: Path) -> None:
     write_dive(tmp_path / "dive.mcap", simulate_dive("straight", duration_s=20.0, seed=1))
-    [task] = plan_jobs([FoundDive(tmp_path / "dive.mcap")], tmp_path / "out", ReplayOptions(load_config()))
+    [task] = plan_jobs([FoundDive(tmp_path / "dive.mcap")], tmp_path / "out", ReplayOptions(load_config("fog")))
     told: list[str] = []
     with progress_listener(lambda stage, *_: told.append(stage)):
         replay_into(task)
