@@ -26,7 +26,7 @@ from scatter_filters import (
 )
 from sea_worlds import Sea, SeaDvl, SeaReference, Voyage
 
-from insdvl_replay.core.config import Config, Filter, Heading, Noise, Vector
+from insdvl_replay.core.config import Config, Filter, Heading, InertialNoise, Vector
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ReferenceColumns, SensorColumns, nanoseconds
 from insdvl_replay.core.history import History
@@ -438,7 +438,7 @@ def _too_large(times: float) -> Config:
     Both have nearly the same gains, but at the start.
     """
     config, factor = _settings(sd_mps=DVL_SD_MPS * math.sqrt(times)), math.sqrt(times)
-    inertial = {key: factor * getattr(config.noise, key) for key in Noise.__struct_fields__}
+    inertial = {key: factor * getattr(config.noise, key) for key in InertialNoise.__struct_fields__}
     baseline = msgspec.structs.replace(config.filters["baseline"], **inertial)
     filters = {"baseline": baseline, "right": _by_velocity(DVL_SD_MPS)}
     return msgspec.structs.replace(config, filters=filters)

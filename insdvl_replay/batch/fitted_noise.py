@@ -81,7 +81,8 @@ def _replacing(job: ReplayJob, earlier: ReplayJob, *, force: bool, rerun: bool) 
 
 
 def _is_alike(other: ReplayJob, job: ReplayJob) -> bool:
-    return other.error is None and other.options == job.options
+    """Return whether two dives are of one vehicle, with the same settings."""
+    return other.error is None and (other.vehicle, other.options) == (job.vehicle, job.options)
 
 
 def _with_new_noise(jobs: Sequence[ReplayJob]) -> list[ReplayJob]:

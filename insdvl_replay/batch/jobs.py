@@ -23,7 +23,7 @@ from msgspec.structs import replace as changed
 from insdvl_replay import __version__
 from insdvl_replay.batch.dive_paths import FoundDive, shared_settings
 from insdvl_replay.batch.workers import Pool, WorkerLostError, do_each
-from insdvl_replay.core.config import Config, flattened
+from insdvl_replay.core.config import FREE, Config, flattened
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.errors import ConfigError, LogError, Note, UserError, listed
 from insdvl_replay.core.result import Report, StoredReport, decode_report, package_versions
@@ -244,6 +244,9 @@ def _made_otherwise(job: ReplayJob) -> str:
     except (OSError, TypeError, KeyError, *NOT_JSON, UserError):
         return ""
     settings = changed_settings(old, new)
+    # What a fit would set says something only where nothing else differs.
+    fitted = ("noise.fit", *(key for word in options.config.noise.fit for key in FREE[word]))
+    settings = [change for change in settings if not change.startswith(fitted)] or settings
     asked = {"version": options.version, "sources": options.sources}
     is_other_version = stored.versions != package_versions() or not asked.items() <= stored.tool.items()
     reasons = [
