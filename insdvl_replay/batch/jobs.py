@@ -244,11 +244,13 @@ def _made_otherwise(job: ReplayJob) -> str:
     except (OSError, TypeError, KeyError, *NOT_JSON, UserError):
         return ""
     settings = changed_settings(old, new)
-    # What a fit would set says something only where nothing else differs.
-    fitted = ("noise.fit", *(key for word in options.config.noise.fit for key in FREE[word]))
-    settings = [change for change in settings if not change.startswith(fitted)] or settings
     asked = {"version": options.version, "sources": options.sources}
     is_other_version = stored.versions != package_versions() or not asked.items() <= stored.tool.items()
+    # What a fit would set says something only where nothing else differs.
+    fitted = ("noise.fit", *(key for word in options.config.noise.fit for key in FREE[word]))
+    others = [change for change in settings if not change.startswith(fitted)]
+    if others or is_other_log or is_other_version:
+        settings = others
     reasons = [
         *(["of another log"] if is_other_log else []),
         *(["by another version"] if is_other_version else []),

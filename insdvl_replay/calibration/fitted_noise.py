@@ -78,9 +78,8 @@ def fit_noise_of_dives(dives: Sequence[Dive], config: Config) -> FoundSettings:
             found = _fitted(dives, found, given)
     found = levelled_to_dives(dives, found, given, found.initial, preset, notes)
     found = msgspec.structs.replace(
-        with_values(config, "initial", **_values(found, "biases")), noise=found.noise, dvl=found.dvl,
-        filters=load_config(preset).filters if "filters" in config.noise.fit else config.filters,
-    )  # fmt: skip
+        with_values(config, "initial", **_values(found, "biases")), noise=found.noise, dvl=found.dvl
+    )
     return FoundSettings(found, tuple(notes))
 
 
@@ -88,13 +87,11 @@ def with_noise_of(config: Config, fitted: Config) -> Config:
     """Set what `noise.fit` frees to the values of settings whose noise is fitted."""
     free = config.noise.fit
     for word in free:
-        if word != "filters":
-            section = FREE[word][0].partition(".")[0]
-            values = _values(fitted, word)
-            changed = msgspec.structs.replace(getattr(config, section), **values)
-            config = msgspec.structs.replace(config, **{section: changed})
-    filters = fitted.filters if "filters" in free else config.filters
-    return msgspec.structs.replace(with_values(config, "noise", fit=()), filters=filters)
+        section = FREE[word][0].partition(".")[0]
+        values = _values(fitted, word)
+        changed = msgspec.structs.replace(getattr(config, section), **values)
+        config = msgspec.structs.replace(config, **{section: changed})
+    return with_values(config, "noise", fit=())
 
 
 def _values(config: Config, word: str) -> dict[str, object]:
@@ -105,8 +102,8 @@ def _values(config: Config, word: str) -> dict[str, object]:
 
 def _with_baseline_alone(config: Config) -> Config:
     """Return the settings with the filter that the noise is fitted for."""
-    filters = load_config(GRADES[0]).filters if "filters" in config.noise.fit else config.filters
-    return msgspec.structs.replace(config, filters=dict([next(iter(filters.items()))]))
+    baseline = config.filters[config.baseline]
+    return msgspec.structs.replace(config, filters={config.baseline: baseline})
 
 
 def _fitted(dives: Sequence[Dive], config: Config, given: Given) -> Config:

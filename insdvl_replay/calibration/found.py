@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from insdvl_replay.core.config import FREE, Config, flattened
-from insdvl_replay.core.config_file import render_toml
+from insdvl_replay.core.config_file import load_config, render_toml
 from insdvl_replay.core.errors import Note, visible
 from insdvl_replay.core.words import Severity
 
@@ -25,11 +25,13 @@ class Given:
     def keys(self) -> list[str]:
         """The keys that are given or not as by default, except for the span and the evaluation."""
         default = dict(flattened(msgspec.to_builtins(Config())))
+        # What a dive without settings is replayed with, which nobody has given either.
+        without = dict(flattened(msgspec.to_builtins(load_config())))
         named = set(self.named)
         if "imu" not in self.config.noise.fit:
             named |= {*FREE["imu"]}
         values = flattened(msgspec.to_builtins(self.config))
-        keys = [key for key, value in values if value != default.get(key) or key in named]
+        keys = [key for key, value in values if value not in (default.get(key), without.get(key)) or key in named]
         return [key for key in keys if not key.startswith(("span.", "evaluation.", "noise.fit"))]
 
     def has(self, *names: str) -> bool:

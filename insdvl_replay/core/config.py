@@ -350,18 +350,17 @@ FREE: Final[Mapping[str, tuple[str, ...]]] = {
             "noise.gyro_bias_walk_radps_rts"),
     "dvl": ("dvl.velocity_sd_mps", "dvl.beam_sd_mps"),
     "biases": ("initial.accel_bias_sd_mg", "initial.gyro_bias_sd_degph"),
-    "filters": ("filters",),
 }  # fmt: skip
-"""Keys, or a section, that `noise.fit` frees, by its words."""
+"""Keys that `noise.fit` frees, by its words."""
 
 
 class Noise(InertialNoise, frozen=True):
     """What the filters assume of the inertial sensors, and what of it is fitted to the dives."""
 
     fit: Annotated[
-        tuple[Literal["imu", "dvl", "biases", "filters"], ...],
+        tuple[Literal["imu", "dvl", "biases"], ...],
         Comment(
-            "what is fitted to the dives, or taken from the IMU's class: imu | dvl | biases | filters; left out: all "
+            "what is fitted to the dives, or taken from the IMU's class: imu | dvl | biases; left out: all "
             "that is not given, and nothing with a preset or another key of [noise]"
         ),
     ] = ()
@@ -502,7 +501,7 @@ class Config(Section, frozen=True):
     position: Position = Position()
     reference: Reference = Reference()
     initial: Initial = Initial()
-    noise: Noise = Noise(fit=("imu", "dvl", "biases", "filters"))  # while nobody gives any
+    noise: Noise = Noise(fit=("imu", "dvl", "biases"))  # while nobody gives any
     clocks: Clocks = Clocks()
     span: Span = Span()
     evaluation: Evaluation = Evaluation()

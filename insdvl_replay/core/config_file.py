@@ -54,6 +54,7 @@ KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and pl
 S = TypeVar("S", bound=Struct)
 
 PRESETS: Final = ("levy-klein", "fog", "tactical", "mems")
+FITTED_LIKE: Final = "fog"  # whose filters a fitted noise belongs to; those of the other classes are the same
 # The keys of filters that are not the tool's own, by kind.
 CANDIDATE_KEYS: Final = (
     ("solution",),
@@ -306,15 +307,18 @@ def load_config(
     for path in files:
         source = _file(path)
         layers.append(replace(source, content=_with_whole_paths(source.content, path.parent)))
-    settings = msgspec.to_builtins(Config())
-    owners = dict[str, str]()  # by filter, the file that names it
-    for layer in layers:
-        settings = _overridden(_with_place_for(layer, settings, owners, report), layer)
-        _resolved(settings, layer)
     changes = [
         *(_parse_override("--set", override) for override in overrides),
         *(_parse_override("--against", override) for override in against),
     ]
+    settings = msgspec.to_builtins(Config())
+    if preset is None and not any(layer.has("noise") for layer in (*layers, *changes)):
+        # The aiding of the paper's filters has a noise of its own. Those of the classes of IMUs take it from the fit.
+        settings["filters"] = msgspec.to_builtins(load_config(FITTED_LIKE).filters)
+    owners = dict[str, str]()  # by filter, the file that names it
+    for layer in layers:
+        settings = _overridden(_with_place_for(layer, settings, owners, report), layer)
+        _resolved(settings, layer)
     config = _changed(settings, changes)
     _require_possible(config, [*layers, *changes], allow_code=allow_code)
     if not any(layer.has("noise", "fit") for layer in (*layers, *changes)):

@@ -80,7 +80,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def results(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Their results, made one after the other in one process."""
     output = tmp_path_factory.mktemp("results")
-    assert run_command_line(["run", str(archive), "-o", str(output)]) == 0
+    assert run_command_line(["run", "--preset", "levy-klein", str(archive), "-o", str(output)]) == 0
     return output
 
 
@@ -96,7 +96,7 @@ def cluster() -> Iterator[tuple[str, subprocess.Popen[str]]]:
 
 def run(*arguments: str | Path, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command in a folder, which may have code of the user's: it is imported from there if somebody says so."""
-    command = [*TOOL, "run", *map(str, arguments)]
+    command = [*TOOL, "run", "--preset", "levy-klein", *map(str, arguments)]
     environment = os.environ | {"PYTHONPATH": str(cwd)}
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
@@ -263,21 +263,23 @@ def test_two_dives_of_one_name_are_replayed_next_to_each_other(archive: Path, tm
         (tmp_path / day).mkdir()
         shutil.copy(archive / f"dive_{seed}.mcap", tmp_path / day / "dive.mcap")
     logs = [str(tmp_path / day) for day in ("monday", "tuesday")]
-    assert run_command_line(["run", *logs, "-o", str(tmp_path / "out")]) == 0
+    assert run_command_line(["run", "--preset", "levy-klein", *logs, "-o", str(tmp_path / "out")]) == 0
     for name in ("monday_dive", "tuesday_dive"):
         assert decode_report((tmp_path / "out" / name / "report.json").read_bytes()).log.name == name
     rows = (tmp_path / "out" / "summary.csv").read_text().splitlines()[1:]
     assert [row.partition(",")[0] for row in rows] == ["monday_dive", "tuesday_dive"]
-    assert known_reports(plan_jobs(find_dives(logs), tmp_path / "out", ReplayOptions(load_config())), force=False)
+    assert known_reports(
+        plan_jobs(find_dives(logs), tmp_path / "out", ReplayOptions(load_config("levy-klein"))), force=False
+    )
     assert not known_reports(
-        plan_jobs(find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config())), force=False
+        plan_jobs(find_dives(logs[:1]), tmp_path / "out", ReplayOptions(load_config("levy-klein"))), force=False
     )
 
 
 def test_a_result_that_lost_a_file_is_made_again(archive: Path, results: Path, tmp_path: Path) -> None:
     shutil.copytree(results, tmp_path / "out")
     (tmp_path / "out" / "dive_2" / "report.html").unlink()
-    done = done_here("run", archive, "-o", "out", "--force", cwd=tmp_path)
+    done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", "--force", cwd=tmp_path)
     assert [line for line in done.stderr.splitlines() if line.startswith("wrote")] == [
         "wrote out/dive_2", "wrote out/summary.csv", "wrote out/evidence.csv", "wrote out/index.html"
     ]  # fmt: skip
@@ -331,7 +333,12 @@ def test_one_bad_name_stops_no_archive(archive: Path, tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir()
     found = found_paths([str(tmp_path)])
     assert [path.name.encode(errors="replace") for path in found] == [b"bad?.mcap", b"dive.mcap"]
-    assert run_command_line(["run", *map(str, found), "-o", str(tmp_path / "out"), "--starts", "1"]) == 3
+    assert (
+        run_command_line(
+            ["run", "--preset", "levy-klein", *map(str, found), "-o", str(tmp_path / "out"), "--starts", "1"]
+        )
+        == 3
+    )
     assert (tmp_path / "out" / "dive" / "report.json").is_file()
     assert "UTF-8" in (tmp_path / "out" / "summary.csv").read_text()
 
@@ -385,7 +392,9 @@ def test_digest_of_a_log_and_a_bag_is_that_of_the_reader(archive: Path, tmp_path
 
 
 def task(*logs: Path, output: Path = Path(), **wishes: Any) -> ReplayJob:
-    (planned,) = plan_jobs([*map(FoundDive, logs)], output, ReplayOptions(load_config(), **wishes), one_dive=True)
+    (planned,) = plan_jobs(
+        [*map(FoundDive, logs)], output, ReplayOptions(load_config("levy-klein"), **wishes), one_dive=True
+    )
     return planned
 
 
@@ -396,12 +405,17 @@ def known(archive: Path, results: Path, order: ReplayOptions) -> set[str]:
 def test_results_are_known_by_log_settings_and_versions(archive: Path, results: Path, tmp_path: Path) -> None:
     shutil.copytree(archive, tmp_path / "logs")
     shutil.copytree(results, tmp_path / "out")
-    config = load_config()
+    config = load_config("levy-klein")
     everything = {f"dive_{seed}" for seed in range(1, 7)}
     assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config)) == everything
     assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, allow_damaged=True)) == everything
     assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(config, control=True)) == set()
-    assert known(tmp_path / "logs", tmp_path / "out", ReplayOptions(load_config(overrides=["dvl.scale=1.01"]))) == set()
+    assert (
+        known(
+            tmp_path / "logs", tmp_path / "out", ReplayOptions(load_config("levy-klein", overrides=["dvl.scale=1.01"]))
+        )
+        == set()
+    )
     shutil.copy(archive / "dive_2.mcap", tmp_path / "logs" / "dive_1.mcap")
     saved = tmp_path / "out" / "dive_3" / "report.json"
     report = json.loads(saved.read_bytes())
@@ -446,15 +460,15 @@ def test_other_sources_are_another_digest(tmp_path: Path) -> None:
 
 def test_a_result_of_the_control_is_known(archive: Path, tmp_path: Path) -> None:
     log, output = archive / "dive_1.mcap", tmp_path / "out"
-    assert run_command_line(["run", str(log), "--control", "-o", str(output)]) == 0
+    assert run_command_line(["run", "--preset", "levy-klein", str(log), "--control", "-o", str(output)]) == 0
     assert known_reports([task(log, output=output, control=True)], force=False)
-    assert run_command_line(["run", str(log), "-o", str(output)]) == 2
+    assert run_command_line(["run", "--preset", "levy-klein", str(log), "-o", str(output)]) == 2
 
 
 def test_a_damaged_log_is_known_only_to_whom_it_is_good_enough(archive: Path, tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((archive / "dive_1.mcap").read_bytes()[:-200])
-    arguments = ["run", str(cut), "-o", str(tmp_path / "out")]
+    arguments = ["run", "--preset", "levy-klein", str(cut), "-o", str(tmp_path / "out")]
     assert run_command_line([*arguments, "--allow-damaged"]) == 0
     assert known_reports([task(cut, output=tmp_path / "out", allow_damaged=True)], force=False)
     assert run_command_line([*arguments, "--force"]) == 3
@@ -464,7 +478,7 @@ def test_only_what_changed_is_replayed(archive: Path, results: Path, tmp_path: P
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "dive_3")
     before = bytes_of(tmp_path / "out")
-    done = done_here("run", archive, "-o", "out", "--format", "csv", cwd=tmp_path)
+    done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", "--format", "csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = done.stderr.splitlines()
     assert said == [
@@ -481,18 +495,18 @@ def test_a_changed_result_needs_force_before_any_work_is_done(archive: Path, res
     shutil.copytree(results, tmp_path / "out")
     shutil.rmtree(tmp_path / "out" / "dive_1")
     changed = [archive, "-o", "out", "--set", "dvl.scale=1.01"]
-    refused = done_here("run", *changed, cwd=tmp_path)
+    refused = done_here("run", "--preset", "levy-klein", *changed, cwd=tmp_path)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert refused.stderr.startswith("error: out/dive_2: ")
     assert not (tmp_path / "out" / "dive_1").exists()
-    assert done_here("run", *changed, "--force", cwd=tmp_path).returncode == 0
+    assert done_here("run", "--preset", "levy-klein", *changed, "--force", cwd=tmp_path).returncode == 0
     report = decode_report((tmp_path / "out" / "dive_2" / "report.json").read_bytes())
     assert report.config["dvl"]["scale"] == 1.01
 
 
 @pytest.mark.parametrize("data", [b'{"baseline": "\xff"}', b'{"log": ' + b"[" * 100_000], ids=["letters", "nested"])
 def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, tmp_path: Path) -> None:
-    jobs = plan_jobs(find_dives([str(archive)]), tmp_path, ReplayOptions(load_config()))
+    jobs = plan_jobs(find_dives([str(archive)]), tmp_path, ReplayOptions(load_config("levy-klein")))
     jobs[0].target.mkdir()
     (jobs[0].target / "report.json").write_bytes(data)
     with pytest.raises(ConfigError, match=f"{jobs[0].target.name}: "):
@@ -512,7 +526,7 @@ def test_a_report_that_nobody_can_read_is_no_result(data: bytes, archive: Path, 
 def test_the_error_on_another_result_says_what_differs(
     settings: list[str], wishes: dict[str, Any], found: str, archive: Path, results: Path
 ) -> None:
-    options = ReplayOptions(load_config(overrides=settings), **wishes)
+    options = ReplayOptions(load_config("levy-klein", overrides=settings), **wishes)
     jobs = plan_jobs([FoundDive(archive / "dive_1.mcap")], results, options)
     with pytest.raises(ConfigError, match=found) as raised:
         known_reports(jobs, force=False)
@@ -521,7 +535,7 @@ def test_the_error_on_another_result_says_what_differs(
 
 
 def test_the_error_on_a_result_of_another_log_says_so(archive: Path, results: Path) -> None:
-    (job,) = plan_jobs([FoundDive(archive / "dive_1.mcap")], results, ReplayOptions(load_config()))
+    (job,) = plan_jobs([FoundDive(archive / "dive_1.mcap")], results, ReplayOptions(load_config("levy-klein")))
     with pytest.raises(ConfigError, match=r"dive_1: holds a result of another log\n"):
         known_reports(
             [dataclasses.replace(job, logs=(archive / "dive_2.mcap",), name=archive / "dive_2.mcap")], force=False
@@ -539,7 +553,7 @@ def test_a_result_that_is_not_whole_is_replayed_and_reported(
     with (out / "dive_3" / "replay.mcap").open("r+b") as replay:
         replay.seek(10_000)
         replay.write(bytes(1))
-    arguments = ["run", str(archive), "-o", str(out)]
+    arguments = ["run", "--preset", "levy-klein", str(archive), "-o", str(out)]
     assert run_command_line(arguments) == 2
     said = capsys.readouterr().err
     assert said.startswith(f"error: {out}/dive_1: ")
@@ -554,7 +568,7 @@ def test_a_result_that_is_not_whole_is_replayed_and_reported(
 
 
 def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
-    arguments = ["run", str(archive / "dive_1.mcap"), "-o", str(tmp_path)]
+    arguments = ["run", "--preset", "levy-klein", str(archive / "dive_1.mcap"), "-o", str(tmp_path)]
     assert run_command_line(arguments) == 0
     saved = tmp_path / "dive_1" / "report.json"
     report = decode_report(saved.read_bytes())
@@ -570,7 +584,7 @@ def test_rerun_replays_what_is_unchanged(archive: Path, tmp_path: Path) -> None:
 def test_a_file_that_bears_an_overviews_name_is_left_alone(name: str, archive: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("my own notes\n")
-    done = done_here("run", archive, "-o", "out", cwd=tmp_path)
+    done = done_here("run", "--preset", "levy-klein", archive, "-o", "out", cwd=tmp_path)
     assert done.returncode == 2
     assert f"out/{name}: exists" in done.stderr
 
@@ -585,7 +599,7 @@ def test_no_link_or_pipe_that_bears_an_overviews_name_is_written_to(
         (tmp_path / name).symlink_to("thesis.tex")
     else:
         os.mkfifo(tmp_path / name)
-    assert run_command_line(["run", str(archive), "-o", str(tmp_path), "--force"]) == 2
+    assert run_command_line(["run", "--preset", "levy-klein", str(archive), "-o", str(tmp_path), "--force"]) == 2
     assert re.search(rf"{name}: .*; hint: rm ", capsys.readouterr().err)
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
@@ -726,7 +740,7 @@ def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_
     assert done.returncode == 0, done.stderr
     assert bytes_of(tmp_path / "out") == bytes_of(results)
     assert done.stderr.splitlines()[-1] == "wrote out/index.html"
-    again = done_here("run", archive, "-o", "out", cwd=tmp_path)
+    again = done_here("run", "--preset", "levy-klein", archive, "-o", "out", cwd=tmp_path)
     assert again.stdout == done.stdout
 
 
@@ -741,7 +755,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
 
 @pytest.mark.nightly
 def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: Path) -> None:
-    command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
+    command = [*TOOL, "run", "--preset", "levy-klein", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         wait_for(tmp_path / "out" / "dive_2", process)
         workers = [child for child in psutil.Process(process.pid).children() if "spawn_main" in str(child.cmdline())]
@@ -753,7 +767,7 @@ def test_a_killed_worker_loses_nothing(archive: Path, results: Path, tmp_path: P
 
 @pytest.mark.nightly
 def test_an_interrupted_run_goes_on_where_it_stopped(archive: Path, results: Path, tmp_path: Path) -> None:
-    command = [*TOOL, "run", str(archive), "-o", "out", "--jobs", "2"]
+    command = [*TOOL, "run", "--preset", "levy-klein", str(archive), "-o", "out", "--jobs", "2"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         wait_for(tmp_path / "out" / "dive_1", process)
         process.send_signal(signal.SIGTERM)
@@ -784,7 +798,17 @@ def test_a_killed_worker_of_a_cluster_loses_nothing(
     archive: Path, results: Path, tmp_path: Path, cluster: tuple[str, subprocess.Popen[str]]
 ) -> None:
     address, of_cluster = cluster
-    command = [*TOOL, "run", str(archive), "-o", str(tmp_path / "out"), "--scheduler", address]
+    command = [
+        *TOOL,
+        "run",
+        "--preset",
+        "levy-klein",
+        str(archive),
+        "-o",
+        str(tmp_path / "out"),
+        "--scheduler",
+        address,
+    ]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         wait_for(tmp_path / "out" / "dive_1", process)
         children = psutil.Process(of_cluster.pid).children(recursive=True)

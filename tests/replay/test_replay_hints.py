@@ -34,7 +34,7 @@ def told_the_truth(grade: str, *overrides: str) -> Config:
         f"initial.gyro_bias_sd_degph={sensors.gyro_bias_sd_radps / DEG_PER_HOUR}",
         "evaluation.starts=1",
     ]
-    return load_config(overrides=[*truth, *overrides])
+    return load_config("levy-klein", overrides=[*truth, *overrides])
 
 
 def dived(scenario: str, grade: str = "fog", seed: int = 1, **built_in: tuple[float, float, float]) -> Dive:

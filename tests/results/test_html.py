@@ -124,11 +124,13 @@ def test_page_names_its_origin(result: tuple[Document, Report, bytes]) -> None:
 
 
 def test_settings_that_differ_from_the_defaults_are_by_themselves() -> None:
-    config = msgspec.to_builtins(load_config(overrides=["dvl.scale=1.01", "filters.aided.acceleration.window=5"]))
+    config = msgspec.to_builtins(
+        load_config("levy-klein", overrides=["dvl.scale=1.01", "filters.aided.acceleration.window=5"])
+    )
     heading, *changed = changed_settings(config).split("\n")
     assert heading.startswith("# ")
     of_preset = 'initial.uncertainty = "settings"'
-    assert changed == ["dvl.scale = 1.01", of_preset, "filters.aided.acceleration.window = 5"]
+    assert changed == ["dvl.scale = 1.01", of_preset, "noise.fit = []", "filters.aided.acceleration.window = 5"]
 
 
 def test_turns_and_silence_of_the_dvl_are_shaded_behind_every_panel_over_time(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ SAMPLE = PROJECT / "sample_logs" / "figure_eight.mcap"
 
 @pytest.fixture(scope="module")
 def replayed() -> Result:
-    return replay_log(str(SAMPLE), load_config(settings={"evaluation.starts": 4}))
+    return replay_log(str(SAMPLE), load_config(preset="levy-klein", settings={"evaluation.starts": 4}))
 
 
 @pytest.fixture(scope="module")
@@ -319,7 +319,7 @@ def test_public_names_are_these() -> None:
 
 
 def test_a_replay_in_python_is_that_of_the_command_line(replayed: Result, folder: Path, tmp_path: Path) -> None:
-    assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "4"]) == 0
+    assert run_command_line(["run", str(SAMPLE), "-o", str(tmp_path), "--starts", "4", "--preset", "levy-klein"]) == 0
     for name in ("evidence.csv", "trajectory.npz", "report.html"):
         assert (tmp_path / "figure_eight" / name).read_bytes() == (folder / name).read_bytes()
 
