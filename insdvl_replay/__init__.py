@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         compare_settings,
         inspect,
         load_config,
+        plan,
         propose,
         read_result,
         read_results,
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Candidate", "CommandResult", "DiveResult", "DiveResults", "Result", "Solution", "UserMeasurement", "UserNoise",
     "UserReadings", "__version__", "calibrate", "check", "compare", "compare_settings", "inspect", "load_config",
-    "propose", "read_result", "read_results", "replay_log", "run_as_program", "simulate",
+    "plan", "propose", "read_result", "read_results", "replay_log", "run_as_program", "simulate",
 ]  # fmt: skip
 
 

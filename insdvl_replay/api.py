@@ -238,6 +238,22 @@ def read_results(folder: Text) -> "DiveResults":
     return DiveResults(replace(content, document=overview_parts(reports), notes=notes), dives, Path(folder))
 
 
+def plan(folder: Text) -> "CommandResult":
+    """Return what the dives of a result can find, and how many dives find smaller changes: table plan.
+
+    Raises
+    ------
+    ConfigError
+        The folder holds no result.
+    ResultError
+        A result cannot be read, or is of a version that cannot be read.
+    """
+    from insdvl_replay.show.plan import plan_result
+
+    found, notes = read_reports(_path("folder", folder), Report)
+    return CommandResult(replace(plan_result([report for _, report in found]), notes=notes))
+
+
 def simulate(scenario: str, output: Text, *, force: bool = False, **options: Any) -> Path:
     """Write a simulated dive as a log and return its path.
 
@@ -567,7 +583,7 @@ class DiveResult(Result):
 
     @property
     def words(self) -> dict[str, str]:
-        """The verdict on each candidate: better, worse, mixed, equivalent, undecided or not evaluated."""
+        """The verdict on each candidate, such as better, worse, mixed, undecided, not repeatable or not evaluated."""
         return {name: str(candidate.verdict) for name, candidate in self.report.filters.items()}
 
     @property
@@ -682,10 +698,10 @@ class DiveResults(CommandResult):
 
     @property
     def words(self) -> dict[str, str]:
-        """The verdict of all dives together on each candidate that at least two of them have."""
-        from insdvl_replay.show.answers import pooled_answers
+        """The verdict of all dives together on each candidate."""
+        from insdvl_replay.show.answers import answers_of
 
-        return {found.filter: str(found.verdict) for found in pooled_answers(self._reports)}
+        return {found.filter: str(found.verdict) for found in answers_of(self._reports)}
 
     @property
     def _reports(self) -> list[Report]:

@@ -18,8 +18,10 @@ from insdvl_replay.evaluation.evaluate import Curves, curves_of, tables_of_filte
 from insdvl_replay.evaluation.evidence import ReferenceNoise
 from insdvl_replay.evaluation.notes import constants_notes, reference_notes, settings_hints, update_notes
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
+from insdvl_replay.evaluation.sentences import start_of
 from insdvl_replay.evaluation.verdicts import evaluated_candidates, not_evaluated_notes
 from insdvl_replay.nav.dvl import DvlVelocities
+from insdvl_replay.preparation.heading_draw import start_heading
 from insdvl_replay.preparation.prepared import outage_notes, read_checked_dive, with_reference_at_imu
 from insdvl_replay.preparation.run import plan_runs, prepare_with_heading, require_fit_of, run_candidates
 from insdvl_replay.preparation.user_runs import with_user_candidates
@@ -41,6 +43,7 @@ class Replay:
     curves: Curves  # evidence that is drawn over time
     notes: tuple[Note, ...]  # what was dropped, assumed or found odd
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
+    cpu_s: Mapping[str, float] = field(default_factory=dict)  # processor seconds of one run over the dive, by filter
 
 
 def replay_log(
@@ -99,6 +102,8 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     if dive.reference_delay is None:
         dive = with_reference_delay(dive, config)
     plan = plan_runs(dive, prepared, config)
+    found_start = start_heading(prepared, plan.heading)
+    dive = replace(dive, start_heading=found_start)
 
     # Run every candidate. The rest needs no readings.
     runs = with_user_candidates(run_candidates(dive, prepared, plan, config), dive, prepared, plan, config)
@@ -114,6 +119,7 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
         dive, histories, runs.spread, runs.drawn, runs.outages, runs.user_outages, noise, prepared.sensor_sd,
         jump_table(dive.name, histories, runs.motions),
         start_ns=span[0], bridged_gaps=len(prepared.gaps.start_ns) > 0,
+        independent=settings.independent, lost_m=config.evaluation.lost_m, turned=runs.turned,
     )  # fmt: skip
     notes = (
         *dive.notes,
@@ -126,10 +132,19 @@ def replay_dive(dive: Dive, config: Config, *, keep_cov: bool = False) -> Replay
     )
 
     # The verdict on each.
-    tables, verdicts = evaluated_candidates(histories, errors, tables, notes, independent=settings.independent)
+    tables, verdicts = evaluated_candidates(
+        histories,
+        errors,
+        tables,
+        notes,
+        primary=config.evaluation.primary,
+        not_repeatable=runs.not_repeatable,
+        start=start_of([found_start]),
+    )
     notes += not_evaluated_notes(verdicts) + settings_hints(tables, baseline) + constants_notes(histories)
     histories = histories if keep_cov else tuple(history.without_cov() for history in histories)
     curves = curves_of(runs.drawn, runs.outages)
     return Replay(
-        dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes, runs.printed
-    )
+        dive, config, *span, prepared.velocities, histories, errors, tables, verdicts, curves, notes, runs.printed,
+        runs.cpu_s,
+    )  # fmt: skip

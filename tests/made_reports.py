@@ -1,5 +1,7 @@
 """A report made of few rows, for tests of what shows reports."""
 
+import hashlib
+
 import pandas as pd
 from msgspec.structs import replace
 
@@ -54,13 +56,15 @@ def tables() -> Tables:
         ("dive", "aided", "all", 5, 424, 9.0, 3.9, 6.1, 30.0, 97.0, "overconfident", 40.0),
     ]
     evidence = [
-        ("accuracy", "drift_30s", "m", 1.0, 0.8, 0.8, 0.7, 0.9, 20.5, 16, 74, "better"),
-        ("convergence", "convergence_level", "s", NAN, NAN, NAN, NAN, NAN, 15.0, 15, 0, "undecided"),
-        ("consistency", "nis", "", 1.5, 1.0, 0.66, NAN, NAN, NAN, 1, 0, "better"),
+        ("track", "position", "m", 1.25, 1.5, 1.2, 0.5, 0.4, 0.01, 424, 1, NAN, "primary"),
+        ("accuracy", "drift_30s", "m", 1.0, 0.8, 0.8, 0.3, 0.31, 0.05, 74, 1, NAN, "shown"),
+        ("accuracy", "level", "deg", 0.05, 0.04, 0.8, 0.02, 0.4, 0.0, 300, 1, 124.0, "secondary"),
+        ("convergence", "convergence_level", "s", NAN, NAN, NAN, NAN, NAN, NAN, 15, 15, NAN, "settling"),
+        ("consistency", "nis", "", 1.5, 1.0, 0.66, NAN, NAN, NAN, 0, 1, NAN, "shown"),
     ]
     outage = [
-        ("dive", "baseline", "30", 9, 0, 0.5, 0.6, 1.1, 2.0, 0.04, 0.1, NAN, NAN, NAN, NAN, 1.1),
-        ("dive", "aided", "30", 9, 0, 0.4, 0.5, 0.9, 1.5, 0.03, 0.1, 0.8, 0.7, 0.95, 66.7, 1.0),
+        ("dive", "baseline", "30", 9, 0, 0.5, 0.6, 1.1, 2.0, 0.04, 0.1, NAN, NAN, 1.1),
+        ("dive", "aided", "30", 9, 0, 0.4, 0.5, 0.9, 1.5, 0.03, 0.1, 0.8, 66.7, 1.0),
     ]
     drift = [
         ("baseline", "position_h", "m", 424, 1.0, 2.0, 1.25, 2.5, 400.0, 400.0, 2.0, 1000.0, 0.2),
@@ -93,20 +97,21 @@ def report(name: str = "dive", used: Tables | None = None) -> Report:
         name,
         ImuColumns(nothing, nothing, nothing),
         DvlColumns(nothing),
-        sha256="ab" * 32,
+        sha256=hashlib.sha256(name.encode()).hexdigest(),
         channels=(Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "imu", 42400),),
     )
     notes = [Note("imu_gaps", "the IMU pauses 3 times", 3, "warning", "imu.max_gap_s")]
     used = used or tables()
     aided = CandidateVerdict(
         "aided predicts smaller sigma",
-        "better",
+        "undecided",
         "consistent",
         mean_over_nine(used.improvement, "aided"),
         mean_over_nine(used.convergence, "aided"),
         float("nan"),
         "overconfident",
         "not confirmed",
+        primary="position",
     )
     return build_report(dive, Config(), used, {"aided": aided}, notes, 1_000_000_000, 425_000_000_000)
 

@@ -1,9 +1,9 @@
-"""A candidate that is judged by pieces of evidence that say given words."""
+"""Rows of evidence with given ratios, and the verdict on a candidate of one dive."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
-from insdvl_replay.core.quantities import EVIDENCE_QUANTITIES, REFERENCE_QUANTITIES
+from insdvl_replay.core.quantities import PRIMARIES, REFERENCE_QUANTITIES, SECONDARIES, TRACK
 from insdvl_replay.core.states import STATES
 from insdvl_replay.core.tables import (
     CandidateVerdict,
@@ -15,36 +15,61 @@ from insdvl_replay.core.tables import (
     ReferenceErrorRow,
     Tables,
 )
+from insdvl_replay.core.words import Role
 from insdvl_replay.evaluation.verdicts import verdicts
 
 
+def kind_of(quantity: str) -> str:
+    """Return the kind of evidence of a quantity."""
+    kinds = {"outage": "outage", "held_out": "held_out", "convergence": "convergence"}
+    found = (kind for start, kind in kinds.items() if quantity.startswith(start))
+    return next(found, "track" if quantity in TRACK else "accuracy")
+
+
+def evidence_row(
+    quantity: str, ratio: float, *, acts: float = 0.5, noise: float = 0.0, role: str | None = None, log: str = "dive"
+) -> EvidenceRow:
+    """Return a row of one dive on a baseline with an error of 2."""
+    kind = kind_of(quantity)
+    if role is None:
+        is_secondary = any(quantity in names for names in SECONDARIES.values())
+        role = Role.PRIMARY if quantity in PRIMARIES else Role.SECONDARY if is_secondary else Role.SHOWN
+        role = Role.SETTLING if kind == "convergence" else role
+    is_settling = kind == "convergence"
+    return EvidenceRow(
+        log=log,
+        filter="aided",
+        evidence=kind,
+        quantity=quantity,
+        unit="s" if is_settling else "m",
+        baseline=2.0,
+        value=2.0 * ratio,
+        ratio=ratio,
+        moves=None if is_settling else 2.0 * acts,
+        acts=None if is_settling else acts,
+        reference_noise=None if is_settling else noise,
+        samples=60,
+        role=role,
+    )
+
+
 def judged(
-    words: Sequence[str],
+    rows: Sequence[EvidenceRow] = (),
     predicted_pct: float = 40.0,
-    ratio: tuple[float, float, float] = (0.8, 0.7, 0.9),
     of_aided: str = "consistent",
     of_baseline: str = "consistent",
     errors_of_aided: str = "consistent",
     errors_of_baseline: str = "consistent",
     unsound: Mapping[str, str] = MappingProxyType({}),
-    of_consistency: str = "equivalent",
-    independent: bool = True,
-    kind: str = "accuracy",
-    samples: int = 9,
-    starts: int = 16,
+    primary: str = "",
 ) -> CandidateVerdict:
-    """Judge a candidate whose states all improved alike, by pieces of evidence that say these words."""
+    """Judge a candidate of one dive whose states all improved alike, by these rows of evidence."""
     row = "dive", "aided"
-    pieces = [
-        EvidenceRow(*row, kind, quantity, "m", 2.0, 2.0 * ratio[0], *ratio, 30.0, starts, 60, word)
-        for quantity, word in zip(EVIDENCE_QUANTITIES, words, strict=False)
-    ]
-    pieces.append(EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5, None, None, None, 1, 0, of_consistency))
     tables = Tables(
         [ImprovementRow(*row, state.id, state.unit, 1.0, 1.0, predicted_pct, "improved") for state in STATES],
         [ConvergenceRow(*row, state.id, state.unit, 1.0, 9.0, 9.0, 0.0, "reached") for state in STATES],
         [
-            ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, samples, "compared")
+            ReferenceErrorRow(*row, quantity, unit, 2.0, 1.6, 20.0, 0.0, 0.0, 9, "compared")
             for quantity, unit in REFERENCE_QUANTITIES.items()
         ],
         [
@@ -57,9 +82,9 @@ def judged(
             for name, attitude in (("baseline", errors_of_baseline), ("aided", errors_of_aided))
             for row in of_errors(name, attitude)
         ],
-        pieces,
+        [*rows, EvidenceRow(*row, "consistency", "nis", "", 2.0, 1.0, 0.5)],
     )
-    return verdicts(tables, "baseline", ["aided"], unsound, independent=independent)["aided"]
+    return verdicts(tables, "baseline", ["aided"], unsound, primary)["aided"]
 
 
 def consistency(filter_: str, measurement: str, verdict: str) -> ConsistencyRow:

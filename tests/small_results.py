@@ -11,8 +11,8 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
     """A report.json of one candidate with two states, a quantity and a measurement.
 
     `changes` go to the cells of their name: ``sd``, ``rmse``, ``final``, ``mean_nis``, ``reached_s``, ``verdict``,
-    ``filter``, ``sha256``, ``window``, ``filter_verdict``, ``prediction`` and ``evidence_verdict``; ``ba_x_sd`` goes
-    to one row alone.
+    ``filter``, ``sha256``, ``window``, ``filter_verdict``, ``reason`` and ``prediction``; ``ba_x_sd`` goes to one row
+    alone.
     """
     filter_ = changes.get("filter", "aided")
     row = {"log": name, "filter": filter_}
@@ -37,9 +37,9 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
          "mean_nis": changes.get("mean_nis", 3.1), "low": 2.7, "high": 3.3, "verdict": verdict}
     ]  # fmt: skip
     evidence = [
-        {**row, "evidence": "accuracy", "quantity": "drift_30s", "unit": "m", "baseline": 1.0, "value": 0.8,
-         "ratio": 0.8, "low": 0.7, "high": 0.9, "effective_samples": 20.0, "starts": 16, "windows": 70,
-         "verdict": changes.get("evidence_verdict", "better")}
+        {**row, "evidence": "track", "quantity": "position", "unit": "m", "baseline": 1.0, "value": 0.8, "ratio": 0.8,
+         "moves": 0.5, "acts": 0.5, "reference_noise": 0.01, "samples": 300, "starts": 1, "from_s": None,
+         "role": "primary"}
     ]  # fmt: skip
     return {
         "tool": {"name": "insdvl-replay", "version": "0.1.0", "started_at": "2026-01-01T00:00:00+00:00"},
@@ -49,6 +49,7 @@ def content(name: str = "dive", **changes: Any) -> dict[str, Any]:
                 "encoding": "cdr", "role": "imu", "messages": 100}]},
         "baseline": "baseline",
         "filters": {filter_: {"sentence": "a sentence", "verdict": changes.get("filter_verdict", "better"),
+                              "reason": changes.get("reason", ""), "primary": "position",
                               "prediction": changes.get("prediction", "confirmed"),
                               "consistency": verdict, "mean_improvement_pct": 50.0,
                               "mean_convergence_improvement_pct": 60.0, "reference_improvement_pct": 20.0}},

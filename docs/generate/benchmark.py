@@ -7,7 +7,6 @@ its settings or the program have changed. Logs in ../shared/data are known by th
 """
 
 import hashlib
-import math
 import os
 import re
 import shutil
@@ -33,13 +32,19 @@ from insdvl_replay.core.dive_record import LOG_SUFFIXES
 from insdvl_replay.core.errors import ConfigError, LogError, UserError, counted, listed
 from insdvl_replay.core.quantities import label
 from insdvl_replay.core.result import Report
-from insdvl_replay.core.tables import PooledRow, finite
+from insdvl_replay.core.tables import PooledRow, finite, share_text
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.answers import Piece, left_undecided, shown_interval
+from insdvl_replay.evaluation.answers import BAD, GOOD, CandidateAnswer, Undecided
+from insdvl_replay.evaluation.sentences import (
+    headline,
+    interval_text,
+    plan_line,
+    ratio_text,
+    ratio_with_interval,
+)
 from insdvl_replay.show import answers
-from insdvl_replay.show.answers import AnyAnswer, evidence_text, interval_text, ratio_text, spoken_rows
 from insdvl_replay.show.dives import NO_EVIDENCE
-from insdvl_replay.show.first_screen import ForestRow, forest
+from insdvl_replay.show.first_screen import ForestRow, forest, interval_ends
 from insdvl_replay.show.plot import style_sheet
 
 PAGE = PROJECT / "docs" / "benchmark.md"
@@ -51,8 +56,9 @@ ALL = "all dives"  # of all data sets
 METHODS = {"published": "published", "windowed_fitted": "windowed with fitted noise"}  # of the paper, in words
 WORDS = tomllib.loads((PROJECT / "benchmarks" / "public" / "words.toml").read_text("utf-8"))
 NUMBERS = ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"]
-HEADER = ("filter", "evidence", "ratio", "95 % interval", "n", "verdict", "reason", "digest", "command")
-BEST_FIRST = [*map(Verdict, ("better", "equivalent", "undecided", "mixed", "worse", "not evaluated"))]
+HEADER = ("filter", "evidence", "ratio", "interval", "acts", "n", "verdict", "reason", "digest", "command")
+BEST_FIRST = [*Verdict]
+TOO_FEW = (Undecided.ONE_DIVE, Undecided.FEW_DIVES)
 WIDTH, ABOVE = 860, 30  # of the picture and above each plot, in pixels
 JOBS = 2
 
@@ -106,29 +112,31 @@ class Cell:
         return self.answer.verdict if self.answer else "missing"
 
     @cached_property
-    def answer(self) -> AnyAnswer | None:
+    def answer(self) -> CandidateAnswer | None:
         """The verdict; None without evidence."""
         found = [found for found in answers.answers_of([*self.reports.values()]) if found.filter == self.candidate]
-        known = [one for one in found if spoken_rows(one) or one.verdict == Verdict.NOT_EVALUATED]
+        known = [one for one in found if one.known or one.verdict == Verdict.NOT_EVALUATED]
         return known[0] if known else None
 
     @property
-    def rows(self) -> list[Piece]:
-        """The evidence that decided, or could have: a row, or two of a mixed verdict."""
-        return spoken_rows(self.answer) if self.answer else []
+    def rows(self) -> list[PooledRow]:
+        """The row that decides, and those that speak against it."""
+        if self.answer is None or self.answer.verdict == Verdict.NOT_EVALUATED or self.answer.decisive is None:
+            return []
+        return [self.answer.decisive, *self.answer.warnings]
 
     @property
     def rank(self) -> tuple[int, float, str]:
-        """By verdict, then by the first evidence, which is the same for all; cells without a verdict come last."""
+        """By verdict, then by the ratio that decides; cells without a verdict come last."""
         if self.answer is None:
             return len(BEST_FIRST), 0.0, self.candidate
-        ratio = next((finite(row.ratio) for row in self.answer.known), 0.0)
+        ratio = next((finite(row.ratio) for row in self.rows), 0.0)
         return BEST_FIRST.index(self.answer.verdict), ratio, self.candidate
 
     @property
     def dives(self) -> int:
         """The number of dives with this evidence, else of those that were replayed."""
-        return next((row.dives for row in self.rows if isinstance(row, PooledRow)), len(self.reports))
+        return next((row.dives for row in self.rows), len(self.reports))
 
     @property
     def digest(self) -> str:
@@ -151,7 +159,7 @@ class Cell:
         words = {dive: answers.answer_on_dive(report, self.candidate).reason for dive, report in self.reports.items()}
         for dive, why in (words | self.reasons).items():
             dives.setdefault(plain_reason(why, dive), []).append(dive)
-        pieces = [answers.reason_undecided(self.answer) if self.answer else NO_EVIDENCE if self.reports else ""]
+        pieces = [self.answer.undecided if self.answer else NO_EVIDENCE if self.reports else ""]
         for why, names in dives.items():
             part = f" on {len(names)} of {counted(len(words | self.reasons), 'dive')}"
             named = "" if self.data_set == ALL else f" ({', '.join(names)})"
@@ -272,8 +280,13 @@ def by_data_set(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
 
 
 def row_of(cell: Cell) -> tuple[str, ...]:
-    """Return a row of a table; the evidence of a mixed verdict is on two lines."""
-    columns = (lambda row: label(row.quantity), lambda row: ratio_text(row.ratio), interval_text)
+    """Return a row of a table; each row of the evidence is on a line of its own."""
+    columns = (
+        lambda row: label(row.quantity),
+        lambda row: ratio_text(row.ratio),
+        interval_text,
+        lambda row: share_text(row.acts),
+    )
     evidence = ("<br>".join(map(column, cell.rows)) for column in columns)
     digest, command = (f"`{text}`" if text else "" for text in (cell.digest, cell.command))
     return f"`{cell.candidate}`", *evidence, counted(cell.dives, "dive"), cell.verdict, cell.reason, digest, command
@@ -285,12 +298,16 @@ def checks(cells: Mapping[str, Sequence[Cell]]) -> str:
     for name, ranked in cells.items():
         known, rows = [cell.candidate for cell in ranked if cell.rows], list[tuple[str, ...]]()
         for cell in (cell for cell in ranked if cell.candidate in WORDS["planted"]):
-            place = {("better", *known[:1]): ", first", ("worse", *known[-1:]): ", last"}
-            word = f"{cell.verdict}{place.get((cell.verdict, cell.candidate), '')}"
-            must = "yes" if re.match(WORDS["planted"][cell.candidate], word) else "no" if cell.answer else "-"
-            rows.append((*row_of(cell)[:5], word, must, *row_of(cell)[6:]))
+            is_first, is_last = cell.candidate in known[:1], cell.candidate in known[-1:]
+            place = (
+                ", first" if is_first and cell.verdict in GOOD else ", last" if is_last and cell.verdict in BAD else ""
+            )
+            word = f"{cell.verdict}{place}"
+            is_known = cell.answer is not None and cell.answer.undecided not in TOO_FEW
+            must = "-" if not is_known else "yes" if re.match(WORDS["planted"][cell.candidate], word) else "no"
+            rows.append((*row_of(cell)[:6], word, must, *row_of(cell)[7:]))
         title = f"**{name}**, {counted(len(known), 'filter')} with evidence"
-        parts += [title, markdown_table((*HEADER[:6], "as it must", *HEADER[6:]), rows)]
+        parts += [title, markdown_table((*HEADER[:7], "as it must", *HEADER[7:]), rows)]
     return "\n\n".join(parts)
 
 
@@ -301,44 +318,38 @@ def dives_table(dives: Sequence[Mapping[str, Any]]) -> str:
     return markdown_table(("data set", "dive", "log", "licence", "known faults"), rows)
 
 
-def of_methods(cells: Sequence[Cell]) -> list[tuple[Cell, AnyAnswer]]:
+def of_methods(cells: Sequence[Cell]) -> list[tuple[Cell, CandidateAnswer]]:
     """Return the cells of the paper's method with evidence, and their answers."""
     found = {cell.candidate: (cell, cell.answer) for cell in cells if cell.rows and cell.answer}
     return [found[name] for name in METHODS if name in found]
 
 
 def finding(cells: Mapping[str, Sequence[Cell]]) -> str:
-    """Say what the benchmark finds of the paper's method, over all dives and dive by dive."""
+    """Say what the benchmark finds of the paper's method, over all dives."""
     lines = [quote(cells), ""]
     for cell, answer in of_methods(cells[ALL]):
-        known = [one for one in cell.reports.values() if spoken_rows(answers.answer_on_dive(one, cell.candidate))]
-        counts = answers.verdict_counts(cell.candidate, known)
-        found = f"{cell.verdict}, {evidence_text(answer)}{left_undecided(answer.verdict, answer.known)}"
-        lines.append(f"- `{cell.candidate}`, {counted(cell.dives, 'dive')}: {found}. Dive by dive: {counts}.")
+        said = ". ".join(filter(None, (headline(answer), plan_line(answer).rstrip("."))))
+        lines.append(f"- `{cell.candidate}`, {counted(cell.dives, 'dive')}: {said}.")
     return "\n".join(lines)
 
 
 def quote(cells: Mapping[str, Sequence[Cell]]) -> str:
-    """Say on which dives the paper's method makes no difference, and what is undecided."""
-    equal, ends_pct, others = list[str](), [0.0], list[str]()
-    for name, found in ((name, of_methods(cells[name])) for name in cells if name != ALL):
-        rows, verdicts = [cell.rows[0] for cell, _ in found], {answer.verdict for _, answer in found}
-        count = max((cell.dives for cell, _ in found), default=0)
+    """Say of each data set what the paper's method changes, by how much, and the verdict."""
+    sentences = list[str]()
+    for name in (name for name in cells if name != ALL):
+        found = of_methods(cells[name])
+        if not found:
+            continue
+        count = max(cell.dives for cell, _ in found)
         noun = WORDS["dives"].get(name, f"{{}} of {name}").format("dive" if count == 1 else "dives")
-        dives = f"{NUMBERS[count] if count < len(NUMBERS) else count} {noun}"
-        if verdicts == {Verdict.EQUIVALENT}:
-            equal.append(dives)
-            ends_pct += [100.0 * abs(end - 1.0) for row in rows for end in shown_interval(row) or ()]
-        elif found:
-            ratios = [f"{METHODS[row.filter]} {ratio_text(row.ratio)} ({interval_text(row)})" for row in rows]
-            others.append(f"On {dives} it is {' or '.join(sorted(verdicts))}: {', '.join(ratios)}")
-    left = [left_undecided(answer.verdict, answer.known) for _, answer in of_methods(cells[ALL])]
-    lists = [text.removeprefix("; undecided: ").split(", ") for text in left if text]
-    both = [name for name in lists[0] if all(name in names for names in lists)] if len(lists) == len(METHODS) else []
-    words = " and ".join(WORDS["quantities"].get(name, name) for name in both)
-    others += [f"over all dives, {words} is undecided too"] if both else []
-    change = f"acceleration aiding changes the drift in 30 s by less than {math.ceil(max(ends_pct))} %"
-    return ". ".join([*([f"On {' and on '.join(equal)}, {change}"] if equal else []), "; ".join(others)]) + "."
+        said = []
+        for cell, answer in found:
+            row = cell.rows[0]
+            acts = f"it acts by {share_text(row.acts)} of the error"
+            said.append(f"{METHODS[cell.candidate]} is {answer.verdict} ({ratio_with_interval(row)}; {acts})")
+        number = NUMBERS[count] if count < len(NUMBERS) else count
+        sentences.append(f"On {number} {noun}, {' and '.join(said)}.")
+    return " ".join(sentences)
 
 
 def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
@@ -348,13 +359,13 @@ def picture(cells: Mapping[str, Sequence[Cell]]) -> bytes:
         rows = []
         for cell in (cell for cell in ranked if cell.rows):
             row, text = cell.rows[0], f"{ratio_text(cell.rows[0].ratio)} {cell.verdict}, {label(cell.rows[0].quantity)}"
-            rows.append(ForestRow(cell.candidate, row.ratio, shown_interval(row), cell.verdict, text))
+            rows.append(ForestRow(cell.candidate, row.ratio, interval_ends(row), cell.verdict, text))
         plot = re.search(r'<svg( width="100%" height="(\d+)">.*</svg>)', forest("", rows))
         if rows and plot is not None:
             drawn.append(f'<text x="8" y="{top + 18}">{name}</text><svg y="{top + ABOVE}"{plot[1]}')
             top += ABOVE + int(plot[2])
     size = f'width="{WIDTH}" height="{top}" viewBox="0 0 {WIDTH} {top}"'
-    style = f"<title>Ratio of errors, with its 95 % interval</title>\n<style>\n{style_sheet()}</style>"
+    style = f"<title>Ratio of errors, with its interval over dives</title>\n<style>\n{style_sheet()}</style>"
     paper = '<rect width="100%" height="100%" fill="var(--paper)"/>'
     body = "\n".join([style, paper, '<g class="forest">', *drawn, "</g>"])
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} role="img">\n{body}\n</svg>\n'.encode()

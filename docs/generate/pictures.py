@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from verdict_picture import verdict_picture
 from written import PROJECT
 
 from insdvl_replay.core.config_file import load_config
@@ -56,6 +57,7 @@ PICTURES: dict[str, Callable[[], bytes]] = {
     "docs/figure_eight_sigma.svg": lambda: sigmas(sample("figure_eight")),
     "docs/figure_eight_track.svg": lambda: track(sample("figure_eight")),
     "docs/lawnmower_track.svg": lambda: track(lawnmower()),
+    "docs/verdict.svg": verdict_picture,
 }
 
 

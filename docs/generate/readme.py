@@ -18,7 +18,7 @@ README = PROJECT / "README.md"
 SAMPLES = ("straight", "figure_eight")
 
 
-HEAD = 13
+HEAD = 8
 BAG = PROJECT.parent / "shared" / "data" / "ros1" / "rexrov2_simulated.bag"
 """Of a vehicle that others simulated. It has no licence, so it is not in the project."""
 BLUEYE = PROJECT.parent / "shared" / "data" / "blueye_x3" / "auto_square.mcap"
@@ -38,7 +38,7 @@ def archive() -> str:
     """What is printed for the dives of the example archive."""
     with TemporaryDirectory() as folder:
         shutil.copytree(PROJECT / "examples" / "archive" / "dives", Path(folder) / "examples" / "archive" / "dives")
-        command = "run", "examples/archive/dives", "--preset", "levy-klein"
+        command = "run", "examples/archive/dives"
         first = printed(Path(folder), *command).splitlines()[:HEAD]
         return "\n".join(["```console", f"$ insdvl-replay {' '.join(command)} | head -n {HEAD}", *first, "```"])
 
@@ -49,7 +49,7 @@ def foreign() -> str:
     with TemporaryDirectory() as name:
         folder = Path(name)
         shutil.copy(BAG, folder / "rexrov2.bag")
-        lines = printed(folder, *command).partition("\nevidence")[0].splitlines()
+        lines = printed(folder, *command).partition("\nthis dive")[0].splitlines()
         settings = (folder / "replay" / "rexrov2" / "vehicle.toml").read_text("utf-8").splitlines()
         arm = next(line for line in settings if "lever_arm_m" in line).partition("  #")[0]
     verdict = next(number for number, line in enumerate(lines) if line.startswith("aided against"))

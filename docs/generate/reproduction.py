@@ -27,6 +27,7 @@ from insdvl_replay.core.states import NINE
 from insdvl_replay.core.tables import PooledRow, finite
 from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.evaluation.ensemble import Ensemble
+from insdvl_replay.evaluation.sentences import ratio_text
 from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import Replay, replay_dive, replay_log
 from insdvl_replay.studies.montecarlo import study_montecarlo
@@ -244,14 +245,22 @@ def _verdicts(replay: Replay) -> Iterator[tuple[str, ...]]:
             percent(verdict.mean_improvement_pct),
             f"{errors['baseline']:.2f}",
             f"{errors[name]:.2f}",
-            verdict.verdict,
+            _measured(replay, name),
             verdict.prediction,
             verdict.consistency,
         )
 
 
+def _measured(replay: Replay, name: str) -> str:
+    """Write the ratio in the quantity that may decide; one dive has no verdict."""
+    primary = replay.verdicts[name].primary
+    rows = (row for row in replay.tables.evidence if (row.filter, row.quantity) == (name, primary))
+    row = next(rows, None)
+    return "-" if row is None else f"{label(row.quantity)} {ratio_text(row.ratio)}"
+
+
 def together(sea: AtSea) -> str:
-    """What the eight dives say together, measured from random starts and while the DVL is withheld."""
+    """What the eight dives say together, from their own starts and while the DVL is withheld."""
     rows = []
     for name in ("windowed", "published"):
         evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in sea.dives]
@@ -271,9 +280,9 @@ def noise(sea: AtSea) -> str:
             median_m = claims.position_errors(dives).median()
             rms = f"{median_m['baseline']:.2f}", f"{median_m[name]:.2f}"
             nis = f"{claims.mean_nis(dives).median() / 3.0:.2g}"
-            rows.append((noise, nis, name, *rms, *outages, _worse(dives, name)))
+            rows.append((noise, nis, name, *rms, *outages, _larger(dives, name)))
     titles = "noise", "NIS / dof of the baseline", "filter", "position rms [m]: baseline", "with accelerations"
-    return markdown_table((*titles, "drift without DVL, 30 s: over the baseline's", "60 s", "worse on"), rows)
+    return markdown_table((*titles, "drift without DVL, 30 s: over the baseline's", "60 s", "larger on"), rows)
 
 
 def _of_eight(name: str, row: PooledRow) -> tuple[str, ...]:
@@ -315,12 +324,17 @@ def positions(sea: AtSea) -> str:
 def geometry(sea: AtSea) -> str:
     """The eight dives with the DVL where it is, and where it was once taken to be."""
     return markdown_table(
-        ("arm from the IMU to the DVL", "mean NIS of the baseline, median", "windowed worse", "published worse"),
+        (
+            "arm from the IMU to the DVL",
+            "mean NIS of the baseline, median",
+            "windowed: larger on",
+            "published: larger on",
+        ),
         [
             (
                 arm,
                 f"{claims.mean_nis(dives).median():.4f}",
-                *(_worse(dives, name) for name in ("windowed", "published")),
+                *(_larger(dives, name) for name in ("windowed", "published")),
             )
             for arm, dives in (
                 ("0.22 m, by the innovations", sea.dives),
@@ -330,9 +344,11 @@ def geometry(sea: AtSea) -> str:
     )
 
 
-def _worse(dives: list[Replay], name: str) -> str:
-    verdicts = [replay.verdicts[name] for replay in dives if name in replay.verdicts]
-    return f"{sum(verdict.verdict == 'worse' for verdict in verdicts)} of {len(verdicts)}"
+def _larger(dives: list[Replay], name: str) -> str:
+    """Write on how many dives the drift in 60 s without the DVL is larger."""
+    rows = [row for replay in dives for row in replay.tables.evidence]
+    ratios = [finite(row.ratio) for row in rows if (row.filter, row.quantity) == (name, "outage_60s")]
+    return f"{sum(ratio > 1.0 for ratio in ratios)} of {len(ratios)}"
 
 
 def drawn(found: Findings) -> dict[str, Callable[[], bytes]]:

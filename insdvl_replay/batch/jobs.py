@@ -46,6 +46,7 @@ from insdvl_replay.results.folder import (
 
 if TYPE_CHECKING:
     from insdvl_replay.changes.gate_file import Checked, Gates
+    from insdvl_replay.replay import Replay
 
 CONTROL_NOTE: Final = "control_fitted"
 DAMAGE_NOTE: Final = "log_damaged"
@@ -60,6 +61,7 @@ class ReplayOptions:
     config: Config
     allow_damaged: bool = False  # use what can be read of a damaged log
     control: bool = False  # add the baseline with its noise fitted
+    assay: bool = False  # also replay the baseline with planted faults
     tracks: tuple[str, ...] = ()  # formats of tracks that are written, too
     histories: bool = True  # write replay.mcap
     history_format: str = ""  # of each filter's history next to it; empty for none
@@ -203,6 +205,7 @@ def _known_report(job: ReplayJob) -> Report | Note | None:
             and report.versions == package_versions()
             and report.log.name == job.target.name
             and (CONTROL_NOTE in codes) == options.control
+            and (bool(report.tables.assay) or not options.assay)
             and (DAMAGE_NOTE not in codes or options.allow_damaged)
             and msgspec.json.encode(config) == msgspec.json.encode(job.config)
             and wanted <= set(report.files)
@@ -346,6 +349,16 @@ def _for_elsewhere(job: ReplayJob) -> ReplayJob:
     return replace(job, logs=logs, name=job.name.absolute(), target=job.target.absolute(), sha256=digest)
 
 
+def _with_assay(job: ReplayJob, replay: "Replay") -> "Replay":
+    """Add what the baseline with planted faults does on this dive."""
+    from insdvl_replay.batch.assay import assay_of
+    from insdvl_replay.preparation.prepared import read_checked_dive
+
+    allow_damaged = job.options.allow_damaged
+    dive = read_checked_dive(job.logs, job.config, allow_damaged=allow_damaged, name=job.target.name)
+    return replace(replay, tables=msgspec.structs.replace(replay.tables, assay=assay_of(dive, job.config)))
+
+
 def replay_into(job: ReplayJob) -> bytes:
     """Replay one dive into its folder, and return its report.
 
@@ -382,6 +395,8 @@ def replay_into(job: ReplayJob) -> bytes:
         options = replace(options, config=found.config, found=notes, vehicle=found.text if found.notes else "")
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=job.target.name)
+    if options.assay:
+        replay = _with_assay(job, replay)
     if options.found:
         replay = replace(replay, notes=(*options.found, *replay.notes))
     if job.sha256 is not None and replay.dive.sha256 != job.sha256:
@@ -405,7 +420,8 @@ def replay_into(job: ReplayJob) -> bytes:
             save_histories(replay, folder, options.history_format)
         report = decode_report((folder / COMPLETE).read_bytes())
         elapsed_s = round(time.perf_counter() - start_s, 3)
-        tool = msgspec.structs.replace(report.tool, started_at=started_at, elapsed_s=elapsed_s)
+        cpu_s = {name: round(seconds, 3) for name, seconds in replay.cpu_s.items()}
+        tool = msgspec.structs.replace(report.tool, started_at=started_at, elapsed_s=elapsed_s, cpu_s=cpu_s)
         (folder / COMPLETE).write_bytes(encode_report(msgspec.structs.replace(report, tool=tool)))
     return (job.target / COMPLETE).read_bytes()
 

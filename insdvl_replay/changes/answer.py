@@ -1,7 +1,7 @@
-"""The answer of a comparison: each filter, new against old, by the evidence and the tests of a verdict.
+"""The answer of a comparison: each filter, new against old, by the rule of a verdict.
 
 The errors of one filter in two runs of a dive are paired. Their ratio is one sample of each dive, pooled as the
-evidence of a candidate over several dives is. Of a single dive, its errors over time are compared.
+evidence of a candidate over several dives is.
 """
 
 import math
@@ -9,27 +9,24 @@ from collections.abc import Iterator, Sequence
 from typing import Annotated, Final
 
 import msgspec
-import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import replace
 
-from insdvl_replay.changes.cells import is_number, paired_rows
-from insdvl_replay.core.quantities import CONSISTENCY, DECIDING_TOGETHER, DRIFT_QUANTITIES, FEWEST_DIVES
+from insdvl_replay.changes.cells import RowPair, is_number, paired_rows
+from insdvl_replay.core.distinct import distinct_dives
+from insdvl_replay.core.quantities import CONSISTENCY, DRIFT_QUANTITIES, FEWEST_DIVES, WITHOUT_VERDICT
 from insdvl_replay.core.result import StoredReport, StoredResult
-from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, Verdict
+from insdvl_replay.core.tables import TABLES, EvidenceRow, Number, finite
+from insdvl_replay.core.words import Role, Verdict
 from insdvl_replay.evaluation import answers
-from insdvl_replay.evaluation.answers import AGAINST, may_decide, pooled_candidate, pooled_sentence, verdict_of
-from insdvl_replay.evaluation.series import paired_ratio, verdict_of_interval
-from insdvl_replay.evaluation.verdicts import reason_not_evaluated
-from insdvl_replay.results.folder import TRAJECTORY_FILE
-from insdvl_replay.results.trajectory import read_trajectory
+from insdvl_replay.evaluation.answers import BAD, pooled_candidate, primary_of
+from insdvl_replay.evaluation.evidence import role_alone
+from insdvl_replay.evaluation.interval import LEVEL, level_of_candidates
+from insdvl_replay.evaluation.sentences import headline
 
 OLD: Final = "before"  # name of the old side in sentences
-# Evidence of a single dive: columns of its trajectory, with their units.
-_OVER_TIME: Final = {"position": ("position_error_m", "m"), "velocity": ("velocity_error_mps", "m/s")}
 _TABLES: Final = [layout for layout in TABLES if layout.name in ("evidence", "drift", "outage")]
-_NO_CHANGE: Final = 0.01  # of every value that decides: so small a change on a dive is none
+_NO_CHANGE: Final = 0.01  # of every value that may decide or warn: so small a change on a dive is none
 
 
 class DiveChange(Struct, frozen=True):
@@ -43,20 +40,19 @@ class DiveChange(Struct, frozen=True):
     ratio: Number
 
 
-class Answer(answers.Answer[PooledRow], frozen=True, kw_only=True):
-    """One filter, new against old."""
+class Answer(answers.Answer, frozen=True, kw_only=True):
+    """One filter, new against old; in its rows the old values are in ``baseline``, the new ones in ``value``."""
 
     sentence: str
     lost: Annotated[int, Meta(description="dives in which only the old side is evaluated")]
-    largest_change: Annotated[Number, Meta(description="largest relative change of a value that decides, on any dive")]
-    rows: Annotated[tuple[PooledRow, ...], Meta(description="old values are in baseline, new ones in value")]
-    by_dive: Annotated[
-        tuple[DiveChange, ...], Meta(description="the first row that made the verdict, dive by dive")
-    ] = ()
+    largest_change: Annotated[
+        Number, Meta(description="largest relative change of a value that may decide or warn, on any dive")
+    ]
+    by_dive: Annotated[tuple[DiveChange, ...], Meta(description="the primary quantity, dive by dive")] = ()
 
     @property
     def is_same(self) -> bool:
-        """Whether no value differs; or, of too few dives for statistics, none that decides by 1 %."""
+        """Whether no value differs; or, of too few dives for an interval, none that may decide by 1 %."""
         largest = finite(self.largest_change)
         return largest == 0.0 or (largest < _NO_CHANGE and self.evaluated < FEWEST_DIVES)
 
@@ -64,73 +60,108 @@ class Answer(answers.Answer[PooledRow], frozen=True, kw_only=True):
     def sameness(self) -> str:
         """How small the changes are, for the end of a sentence."""
         same = finite(self.largest_change) == 0.0
-        return "has the same evidence as before" if same else "changed by less than 1 % in all that decides"
+        return "has the same evidence as before" if same else "changed by less than 1 % in all that may decide"
 
     @property
     def is_harm(self) -> bool:
         """Whether it fails `--fail-on worse`: worse, partly worse, or lost on a dive."""
-        return self.verdict in (Verdict.WORSE, Verdict.MIXED) or self.lost > 0
+        return self.verdict in BAD or self.lost > 0
+
+
+class _Paired(Struct, frozen=True):
+    """One filter in the dives of both sides."""
+
+    name: str
+    dives: list[tuple[StoredResult, StoredResult]]
+    unsound: list[list[str]]  # why each side is not evaluated on a dive, empty if it is
+    evaluated: list[tuple[StoredResult, StoredResult]]  # dives on which a side is evaluated
+    evidence: list[list[EvidenceRow]]  # of these
+    is_equal: bool  # whether all tables of all dives are equal
+
+    @property
+    def largest_change(self) -> float:
+        """Largest relative change of a value that may decide or warn."""
+        sizes = [_size_of_change(row) for rows in self.evidence for row in rows]
+        return max(sizes, default=0.0 if self.is_equal else math.inf)
 
 
 def answers_of(pairs: Sequence[tuple[StoredResult, StoredResult]]) -> tuple[Answer, ...]:
     """Compare each filter that both sides have with itself, over all dives."""
+    # Copies of a dive count once.
+    kept, _ = distinct_dives([new.report for _, new in pairs])
+    distinct = {id(report) for report in kept}
+    pairs = [pair for pair in pairs if id(pair[1].report) in distinct]
     having: dict[str, list[tuple[StoredResult, StoredResult]]] = {}
     for pair in pairs:
         theirs, ours = ((side.report.baseline, *side.report.filters) for side in pair)
         for name in ours:
             if name in theirs:
                 having.setdefault(name, []).append(pair)
-    found = []
-    for name, own in having.items():
-        unsound = [[_not_evaluated(side.report, name) for side in pair] for pair in own]
-        evaluated = [pair for pair, reasons in zip(own, unsound, strict=True) if not all(reasons)]
-        evidence = [[*_paired_evidence(name, *pair)] for pair in evaluated]
-        sizes = [_size_of_change(row) for rows in evidence for row in rows]
-        same_tables = all(old.report.tables == new.report.tables for old, new in pairs)
-        pooled = pooled_candidate(name, OLD, evidence, len(own), reasons=[new or old for old, new in unsound])
-        answer = Answer(
-            filter=name,
-            baseline=OLD,
-            verdict=pooled.verdict,
-            dives=len(own),
-            evaluated=len(evaluated),
-            rows=pooled.rows,
-            reason=pooled.reason,
-            sentence=pooled_sentence(pooled),
-            lost=sum(bool(new and not old) for old, new in unsound),
-            largest_change=max(sizes, default=0.0 if same_tables else math.inf),
-        )
-        if answer.is_same and not answer.lost:
-            is_same = finite(answer.largest_change) == 0.0
-            rows = tuple(
-                replace(row, verdict=EvidenceVerdict.EQUIVALENT) if is_same or may_decide(row) else row
-                for row in answer.rows
-            )
-            answer = replace(answer, verdict=Verdict.EQUIVALENT, sentence=f"{name} {answer.sameness}.", rows=rows)
-        elif len(own) == len(evaluated) == 1:
-            over_time = tuple(_over_one_dive(name, *own[0]))
-            rows = (*over_time, *(row for row in pooled.rows if row.quantity not in _OVER_TIME))
-            answer = replace(answer, verdict=verdict_of(over_time), rows=rows)
-            answer = replace(answer, sentence=f"{name} {AGAINST[answer.verdict]} {OLD} on this dive: {answer.measured}")
-        # The dives one by one, in the row that made the verdict, or could have.
-        first = next(iter((*answer.spoken, *answer.rows)), None)
-        by_dive = [
-            DiveChange(row.log, row.quantity, row.unit, finite(row.baseline), finite(row.value), row.ratio)
-            for rows in evidence
-            for row in rows
-            if first is not None and row.quantity == first.quantity
-        ]
-        found.append(replace(answer, by_dive=tuple(by_dive)))
+    is_equal = all(old.report.tables == new.report.tables for old, new in pairs)
+    paired = [_paired(name, own, is_equal=is_equal) for name, own in having.items()]
+    # Filters that changed share the error rate of one.
+    level = level_of_candidates(sum(found.largest_change > 0.0 for found in paired))
+    found = [_answer(one, level if one.largest_change > 0.0 else LEVEL) for one in paired]
     # What is not finite is missing, as in JSON.
     return msgspec.json.decode(msgspec.json.encode(found), type=tuple[Answer, ...])
+
+
+def _paired(name: str, dives: list[tuple[StoredResult, StoredResult]], *, is_equal: bool) -> _Paired:
+    unsound = [[_not_evaluated(side.report, name) for side in pair] for pair in dives]
+    evaluated = [pair for pair, reasons in zip(dives, unsound, strict=True) if not all(reasons)]
+    evidence = [[*_paired_evidence(name, *pair)] for pair in evaluated]
+    return _Paired(name, dives, unsound, evaluated, evidence, is_equal)
+
+
+def _answer(paired: _Paired, level: float) -> Answer:
+    name = paired.name
+    settings = [new.report.config.get("evaluation", {}) for _, new in paired.dives]
+    named = next((str(found["primary"]) for found in settings if found.get("primary")), "")
+    pooled = pooled_candidate(
+        name,
+        OLD,
+        paired.evidence,
+        len(paired.dives),
+        reasons=[new or old for old, new in paired.unsound],
+        primary=primary_of(paired.evidence, named),
+        level=level,
+        vehicles=[new.report.vehicle for _, new in paired.evaluated],
+    )
+    answer = Answer(
+        filter=name,
+        baseline=OLD,
+        verdict=pooled.verdict,
+        dives=pooled.dives,
+        evaluated=pooled.evaluated,
+        rows=pooled.rows,
+        primary=pooled.primary,
+        settling=pooled.settling,
+        undecided=pooled.undecided,
+        reason=pooled.reason,
+        sentence=f"{name} against {OLD}: {headline(pooled)}.",
+        lost=sum(bool(new and not old) for old, new in paired.unsound),
+        largest_change=paired.largest_change,
+        by_dive=tuple(
+            DiveChange(row.log, row.quantity, row.unit, finite(row.baseline), finite(row.value), row.ratio)
+            for rows in paired.evidence
+            for row in rows
+            if row.quantity == pooled.primary
+        ),
+    )
+    if answer.is_same and not answer.lost:
+        is_equal = finite(answer.largest_change) == 0.0
+        word = Verdict.NO_EFFECT if is_equal else Verdict.EQUIVALENT
+        undecided = answers.Undecided.NONE
+        answer = replace(answer, verdict=word, undecided=undecided, sentence=f"{name} {answer.sameness}.")
+    return answer
 
 
 def _not_evaluated(report: StoredReport, name: str) -> str:
     """Return why a filter is not evaluated, empty if it is. The baseline is evaluated, if any candidate is."""
     candidates = [report.filters[name]] if name in report.filters else [*report.filters.values()]
-    if not candidates or any(candidate.get("verdict") != Verdict.NOT_EVALUATED for candidate in candidates):
+    if not candidates or any(candidate.get("verdict") not in WITHOUT_VERDICT for candidate in candidates):
         return ""
-    return reason_not_evaluated(str(candidates[0].get("sentence"))) or "its result does not say why"
+    return str(candidates[0].get("reason") or "its result does not say why")
 
 
 def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterator[EvidenceRow]:
@@ -140,51 +171,85 @@ def _paired_evidence(name: str, old: StoredResult, new: StoredResult) -> Iterato
     """
     frame = [*paired_rows(old.report, new.report, _TABLES)]
     evidence = [pair for pair in frame if pair.layout.name == "evidence" and pair.new.get("evidence") != CONSISTENCY]
-    is_baseline, column = name == new.report.baseline, "baseline" if name == new.report.baseline else "value"
-    cells = [
-        (pair.row, str(pair.new.get("evidence")), column, pair)
-        for pair in evidence
-        if is_baseline or pair.filter == name
-    ]
-    if not evidence:
-        own = [pair for pair in frame if pair.filter == name]
-        cells = [(pair.row, "accuracy", "rms", pair) for pair in own if pair.layout.name == "drift"]
-        cells = [cell for cell in cells if cell[0] in DRIFT_QUANTITIES and cell[0] != "position_h"]
-        cells += [
-            (f"outage_{pair.row}s", "outage", "drift_rms_m", pair) for pair in own if pair.layout.name == "outage"
-        ]
+    is_baseline = name == new.report.baseline
+    is_independent = new.report.config.get("reference", {}).get("independent") is not False
     done = set()
-    for quantity, kind, column, pair in cells:
-        was, now = pair.old.get(column), pair.new.get(column)
-        if is_number(was) and is_number(now) and quantity not in done:
-            done.add(quantity)
+    if evidence:
+        own = [pair for pair in evidence if is_baseline or pair.filter == name]
+        cells = [
+            _Cell(pair.row, str(pair.new.get("evidence")), _role(pair, is_independent=is_independent), pair)
+            for pair in own
+        ]
+        column = "baseline" if is_baseline else "value"
+    else:
+        cells = [*_cells_alone([pair for pair in frame if pair.filter == name], is_independent=is_independent)]
+        column = ""
+    for cell in cells:
+        pair = cell.pair
+        named = column or ("rms" if pair.layout.name == "drift" else "drift_rms_m")
+        was, now = pair.old.get(named), pair.new.get(named)
+        if is_number(was) and is_number(now) and cell.quantity not in done:
+            done.add(cell.quantity)
             ratio = 1.0 if was == now else now / was if was > 0.0 else None
-            unit, values = pair.layout.unit_of(column, pair.unit), (float(was), float(now), ratio)
-            yield EvidenceRow(new.name, name, kind, quantity, unit, *values, None, None, None, 1, 0, "")
+            yield EvidenceRow(
+                log=new.name,
+                filter=name,
+                evidence=cell.kind,
+                quantity=cell.quantity,
+                unit=pair.layout.unit_of(named, pair.unit),
+                baseline=float(was),
+                value=float(now),
+                ratio=ratio,
+                reference_noise=_noise_share(pair, float(was)),
+                role=cell.role,
+            )
+
+
+def _noise_share(pair: RowPair, was: float) -> float:
+    """Return the share of the reference's noise in a squared old error, of a row that has that of the baseline."""
+    share, baseline = pair.old.get("reference_noise"), pair.old.get("baseline")
+    if not is_number(share) or not is_number(baseline) or was == 0.0:
+        return math.nan
+    return min(share * (baseline / was) ** 2, 1.0)
+
+
+class _Cell(Struct, frozen=True):
+    """One value of a filter that both sides have."""
+
+    quantity: str
+    kind: str
+    role: str
+    pair: RowPair
+
+
+def _role(pair: RowPair, *, is_independent: bool) -> str:
+    """Return what a row may do, also in a result whose candidates are not evaluated, as by noise of the baseline."""
+    if Role.PRIMARY in (pair.old.get("role"), pair.new.get("role")):
+        return Role.PRIMARY
+    samples = pair.new.get("samples")
+    return role_alone(pair.row, int(samples) if is_number(samples) else 0, independent=is_independent)
+
+
+def _cells_alone(pairs: Sequence[RowPair], *, is_independent: bool) -> Iterator[_Cell]:
+    """Yield the drift and outage tests of a filter without candidates."""
+    for pair in pairs:
+        windows = pair.new.get("windows")
+        count = int(windows) if is_number(windows) else 0
+        name, kind = "", ""
+        if pair.layout.name == "drift" and pair.row == "position_h":
+            name, kind = "position", "track"
+        elif pair.layout.name == "drift" and pair.row in DRIFT_QUANTITIES:
+            name, kind = pair.row, "accuracy"
+        elif pair.layout.name == "outage":
+            name, kind = f"outage_{pair.row}s", "outage"
+        if name:
+            yield _Cell(name, kind, role_alone(name, count, independent=is_independent), pair)
 
 
 def _size_of_change(row: EvidenceRow) -> float:
-    """Return the relative change of a value that decides; of others only whether they changed."""
+    """Return the relative change of a value that may decide or warn; of others only whether they changed."""
     if row.baseline == row.value:
         return 0.0
-    if row.quantity not in DECIDING_TOGETHER:
+    if row.role not in (Role.PRIMARY, Role.SECONDARY):
         return _NO_CHANGE / 2.0
     return math.inf if row.ratio is None else abs(row.ratio - 1.0)
-
-
-def _over_one_dive(name: str, old: StoredResult, new: StoredResult) -> Iterator[PooledRow]:
-    """Compare the errors of a filter over the time of one dive, if there is a reference."""
-    before, after = (read_trajectory(side.folder / TRAJECTORY_FILE) for side in (old, new))
-    if before is None or after is None or not (name in before.names and name in after.names):
-        return
-    for quantity, (column, unit) in _OVER_TIME.items():
-        with np.errstate(over="ignore"):  # of a filter that diverged
-            was_sq, now_sq = (side.of(name, column) ** 2 for side in (before, after))
-        if was_sq.shape != now_sq.shape or not (paired := was_sq + now_sq >= 0.0).any():
-            continue
-        interval = paired_ratio(was_sq, now_sq)
-        was, now = (math.sqrt(float(side[paired].mean())) for side in (was_sq, now_sq))
-        yield PooledRow(
-            new.name, name, "accuracy", quantity, unit, was, now, interval.ratio, interval.low, interval.high,
-            dives=1, dives_won=int(interval.ratio < 1.0), p=interval.p, verdict=verdict_of_interval(interval),
-        )  # fmt: skip

@@ -17,16 +17,17 @@ from insdvl_replay.changes.answer import Answer, answers_of
 from insdvl_replay.changes.cells import ROUNDING, Change, RowPair, changes_of, paired_rows, within
 from insdvl_replay.core.config import flattened
 from insdvl_replay.core.errors import ConfigError, Note, counted, listed, require_known
-from insdvl_replay.core.quantities import label
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.result import StoredReport, StoredResult
 from insdvl_replay.core.tables import LAYOUTS, Number
-from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity
+from insdvl_replay.core.words import ChangeVerdict, MatchedBy, Severity, Verdict
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.document import FORMS
 
 # What may differ outside the tables, in the order of interest.
 BLOCKS: Final = ("tool", "versions", "config", "filters", "log", "notes")
 WORSE: Final = "worse"  # instead of a percentage: fail on the answer
+UNDECIDED: Final = "undecided"  # the same, and on answers that are not decided
 # The main columns, and words with a rank, which summarise numbers.
 _PRIMARY: Final = {(layout.name, column) for layout in LAYOUTS for column in (layout.primary, *layout.words)}
 _ORDER: Final = {layout.name: position for position, layout in enumerate(LAYOUTS)}
@@ -387,14 +388,17 @@ def parse_percentage(text: str, option: str, otherwise: str = "") -> float:
 
 
 def parse_limit(text: str | None) -> float | str | None:
-    """Read the value of ``--fail-on``: a percentage, or the word worse."""
-    return text if text in (None, WORSE) else parse_percentage(str(text), "--fail-on", f", or --fail-on {WORSE}")
+    """Read the value of ``--fail-on``: a percentage, or one of the words worse and undecided."""
+    if text in (None, WORSE, UNDECIDED):
+        return text
+    return parse_percentage(str(text), "--fail-on", f", or --fail-on {WORSE} or --fail-on {UNDECIDED}")
 
 
 def find_violation(comparison: Comparison, limit: float | str | None) -> str:
     """Return what is worse than allowed; empty if nothing is.
 
-    For ``worse`` these are the sentences of the filters whose answer is worse or partly worse, and missing dives. For a
+    For ``worse`` these are the sentences of the filters whose answer is worse or partly worse, and missing dives. For
+    ``undecided`` those of filters without a decision count, too. For a
     number they are the values that are worse by more, in percent or points. A worse verdict, a number that was lost or
     grew from zero, and a missing row or dive exceed every number.
     """
@@ -403,7 +407,13 @@ def find_violation(comparison: Comparison, limit: float | str | None) -> str:
     gone = [dive.log for dive in comparison.dives if dive.new is None]
     lost = [f"{counted(len(gone), 'dive')} without new results: {', '.join(gone)}"] if gone else []
     if not isinstance(limit, float):
-        return " ".join([*(answer.sentence for answer in comparison.answers if answer.is_harm), *lost])
+        is_open = limit == UNDECIDED
+        sentences = [
+            answer.sentence
+            for answer in comparison.answers
+            if answer.is_harm or (is_open and answer.verdict in (Verdict.UNDECIDED, *WITHOUT_VERDICT))
+        ]
+        return " ".join([*sentences, *lost])
     above_pct = limit
     changes = [change for change in comparison.changes if not within(_loss_pct(change), above_pct, 100.0 * ROUNDING)]
     reasons = []

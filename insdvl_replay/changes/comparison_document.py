@@ -10,20 +10,13 @@ from insdvl_replay.changes.answer import Answer
 from insdvl_replay.changes.cells import Change, change_text
 from insdvl_replay.changes.comparison import Aggregate, Comparison, Difference, cell_place, described
 from insdvl_replay.core.errors import counted, listed, natural_key
-from insdvl_replay.core.quantities import label
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Result, Sentences, Title
 from insdvl_replay.core.tables import CANDIDATES, RATIO, PooledRow, finite
 from insdvl_replay.core.words import ChangeVerdict, Verdict
-from insdvl_replay.evaluation.answers import DECIDED, may_decide
-from insdvl_replay.show.answers import (
-    TONES,
-    evidence_text,
-    interval_text,
-    ratio_text,
-    shouted,
-    verdict_with_reason,
-    would_decide,
-)
+from insdvl_replay.evaluation.answers import Undecided
+from insdvl_replay.evaluation.sentences import headline, interval_text, plan_line, ratio_text, shouted, word_of
+from insdvl_replay.show.answers import TONES, verdict_in_table
 from insdvl_replay.show.document import MISSING, ShownColumn, table_of
 from insdvl_replay.show.first_screen import (
     ForestRow,
@@ -127,12 +120,11 @@ def _closing_lines(comparison: Comparison, *, values: bool, command: str) -> Ite
 def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
     """Return a line for each filter: its verdict and the evidence that made it, or could have."""
     name_width, verdict_width = (
-        max(map(len, texts))
-        for texts in zip(*((answer.filter, shouted(answer.verdict)) for answer in answers), strict=True)
+        max(map(len, texts)) for texts in zip(*((answer.filter, word_of(answer)) for answer in answers), strict=True)
     )
     return [
         Callout(
-            f"{answer.filter.ljust(name_width)}  {shouted(answer.verdict).ljust(verdict_width)}  {_said(answer)}",
+            f"{answer.filter.ljust(name_width)}  {word_of(answer).ljust(verdict_width)}  {_said(answer)}",
             TONES.get(answer.verdict, ""),
         )
         for answer in answers
@@ -140,17 +132,19 @@ def answer_lines(answers: Sequence[Answer]) -> list[Callout]:
 
 
 def _said(answer: Answer) -> str:
-    """Write the evidence of an answer: the row that made it, both for a mixed one; or what would decide."""
+    """Write the primary quantity of an answer, with what these dives can find; or that nothing changed."""
     dives = counted(answer.dives, "dive")
-    if answer.verdict == Verdict.NOT_EVALUATED:
+    if answer.verdict in WITHOUT_VERDICT:
         return f"evaluated in only {answer.evaluated} of {dives}: {answer.reason}"
-    found = [answer.sameness] if answer.is_same else [evidence_text(answer), would_decide(answer)]
+    said = answer.sameness if answer.is_same else headline(answer).removeprefix(f"{shouted(answer.verdict)}, ")
+    is_one_dive = answer.undecided == Undecided.ONE_DIVE
+    found = [said, plan_line(answer).rstrip(".") if answer.undecided and not is_one_dive else ""]
     lost = f"no longer evaluated in {answer.lost} of {dives}: {answer.reason}" if answer.lost else ""
     return "; ".join(filter(None, (*found, lost)))
 
 
 def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[DisplayTable]:
-    """Return the evidence behind the answers: all rows, or those that are better or worse and have a vote."""
+    """Return the evidence behind the answers: all rows, or those that decide and those that warn."""
     columns: tuple[ShownColumn, ...] = (
         ("filter", "l", "filter"),
         ("evidence", "l", "quantity:label"),
@@ -158,15 +152,16 @@ def _answer_table(answers: Sequence[Answer], *, every_row: bool) -> Iterator[Dis
         ("old", "r", "baseline:value"),
         ("new", "r", "value:value"),
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
-        ("over dives", "r", interval_text),
+        ("interval", "r", interval_text),
         ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
-        ("", "l", verdict_with_reason),
+        ("", "l", verdict_in_table),
     )
     rows = [row for answer in answers for row in answer.known]
-    kept = [row for row in rows if every_row or (row.verdict in DECIDED and may_decide(row))]
+    chosen = [row for answer in answers if not answer.is_same for row in (answer.decisive, *answer.warnings)]
+    kept = [row for row in rows if every_row or row in chosen]
     left = len(rows) - len(kept)
     footnote = "old, new: medians over the dives. ratio: new over old, geometric mean over the dives."
-    footnote += f" {left} more rows without a change that decides: -v" if left else ""
+    footnote += f" {left} more rows: -v" if left else ""
     if kept:
         yield table_of("Evidence, new against old", kept, columns, footnote, spare=(2, 7, 3, 4))
 
@@ -175,8 +170,6 @@ def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
     """Return the answers: a line for each filter, on pages a section with forest plots."""
     sections = []
     for answer in answers:
-        is_short = answer.is_same or answer.lost or answer.verdict == Verdict.NOT_EVALUATED
-        sentence = f"{_said(answer)}." if is_short else answer.measured
         plots = [evidence_forest("This dive" if answer.dives == 1 else "All dives", answer, _MOST_DRAWN)]
         if answer.dives > 1:
             rows = [
@@ -186,8 +179,8 @@ def _answer_screen(answers: Sequence[Answer]) -> list[Part]:
                 for dive in answer.by_dive
                 if finite(dive.ratio) > 0.0
             ]
-            plots.append(by_dive_forest(answer.by_dive[0].quantity if answer.by_dive else "", rows))
-        sections.append(section(answer, [sentence], plots))
+            plots.append(by_dive_forest(answer.primary, rows))
+        sections.append(section(answer, [f"{_said(answer)}."], plots))
     caption = "All dives: each is one sample." if any(answer.dives > 1 for answer in answers) else ""
     page = first_screen(sections, caption, compared=("new result", "old one"))
     return [Only(PRINTED, tuple(answer_lines(answers))), Only(PAGE, (page,))]

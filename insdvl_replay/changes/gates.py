@@ -38,12 +38,14 @@ from insdvl_replay.changes.gate_file import (
     stored_values,
     with_expected,
 )
+from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.dive_record import LONGEST_NAME, is_dive_name
 from insdvl_replay.core.errors import ResultError, UserError
-from insdvl_replay.core.result import Cell, Row, StoredLog, StoredReport
+from insdvl_replay.core.quantities import WITHOUT_VERDICT
+from insdvl_replay.core.result import Cell, StoredLog, StoredReport
 from insdvl_replay.core.states import ANGLES, COLUMNS, GROUPS
-from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow
-from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus, Verdict
+from insdvl_replay.core.tables import PERCENTAGE, EvidenceRow, PooledRow
+from insdvl_replay.core.words import ChangeVerdict, GateLevel, GateStatus, ReferenceStatus
 from insdvl_replay.results.folder import COMPLETE, TRAJECTORY_FILE
 from insdvl_replay.results.stored_results import read_results
 from insdvl_replay.show.document import numbers_apart
@@ -59,8 +61,10 @@ SAME: Final = 1e-9  # relative difference of samples, over the largest value of 
 OF_GAIN: Final = frozenset(
     (
         ("filters", "prediction"),
-        ("evidence", "verdict"),
-        *(("outage", column) for column in ("ratio_to_baseline", "ratio_low", "ratio_high", "windows_won_pct")),
+        ("evidence", "moves"),
+        ("evidence", "acts"),
+        ("outage", "ratio_to_baseline"),
+        ("outage", "windows_won_pct"),
     )
 )
 
@@ -140,22 +144,48 @@ def checked_results(folder: Path) -> Iterator[Checked]:
 
 
 def pooled_dive(dives: Sequence[Checked]) -> Checked:
-    """Return the pooled evidence of all dives as one result."""
-    from insdvl_replay.evaluation.answers import pooled_evidence
-
+    """Return the pooled evidence of all dives as one result, as the ``evidence.csv`` of several dives has it."""
     reports = [dive.result for dive in dives if isinstance(dive.result, StoredReport)]
     if not reports:
         return Checked(ResultError("no dive has a result", "see the dives above"), Path(EVERY_DIVE))
-    rows = list[Row]()
-    for name in dict.fromkeys(name for report in reports for name in report.filters):
-        evidence = [
-            [row for row in report.tables.get("evidence", []) if row.get("filter") == name]
-            for report in reports
-            if name in report.filters and report.filters[name].get("verdict") != Verdict.NOT_EVALUATED
-        ]
-        rows += [asdict(row) for row in pooled_evidence(name, msgspec.convert(evidence, list[list[EvidenceRow]]))]
+    rows = [asdict(row) for row in _pooled_rows(reports)]
     report = StoredReport({}, StoredLog(EVERY_DIVE), {POOLED: rows}, baseline=reports[0].baseline)
     return Checked(report, Path(EVERY_DIVE))
+
+
+def _pooled_rows(reports: Sequence[StoredReport]) -> Iterator[PooledRow]:
+    """Yield the pooled evidence on each candidate, with its share of the error rate."""
+    from insdvl_replay.evaluation.answers import levels_of, pooled_candidate, pooled_evidence, primary_of
+
+    reports, _ = distinct_dives(reports)
+    settings = reports[0].config.get("evaluation", {})
+    names = dict.fromkeys(name for report in reports for name in report.filters)
+    evaluated = {name: _evaluated_reports(reports, name) for name in names}
+    evidence = {name: [_rows_on(report, name) for report in evaluated[name]] for name in names}
+    primaries = {name: primary_of(evidence[name], settings.get("primary", "")) for name in names}
+    alone = [
+        pooled_candidate(name, reports[0].baseline, evidence[name], len(evidence[name]), primary=primaries[name])
+        for name in names
+    ]
+    levels = levels_of(alone, settings.get("candidate", ""))
+    for name in names:
+        vehicles = [report.vehicle for report in evaluated[name]]
+        yield from pooled_evidence(name, evidence[name], primary=primaries[name], level=levels[name], vehicles=vehicles)
+
+
+def _evaluated_reports(reports: Sequence[StoredReport], name: str) -> list[StoredReport]:
+    """Return the dives in which a candidate is evaluated."""
+    return [
+        report
+        for report in reports
+        if name in report.filters and report.filters[name].get("verdict") not in WITHOUT_VERDICT
+    ]
+
+
+def _rows_on(report: StoredReport, name: str) -> list[EvidenceRow]:
+    """Return the rows of evidence on a candidate."""
+    rows = [row for row in report.tables.get("evidence", []) if row.get("filter") == name]
+    return msgspec.convert(rows, list[EvidenceRow])
 
 
 # --- All gates.
@@ -284,8 +314,8 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
         statement = f"{values}{in_unit} ({', '.join([*growth, f'limit {limit}'])})"
     complaint = f"is missing, and so is its row; expected: {value_text(old)}"
     if pair.new:
-        is_evaluated = report.filters.get(pair.filter, {}).get("verdict") != Verdict.NOT_EVALUATED
-        complaint = _why_unusable(pair, column, is_evaluated=is_evaluated)
+        word = str(report.filters.get(pair.filter, {}).get("verdict") or "")
+        complaint = _why_unusable(pair, column, word)
         complaint = complaint or "; ".join(_broken_conditions(gate, value, in_unit, moved, statement))
     return Finding(
         table=layout.name,
@@ -301,14 +331,14 @@ def _finding(gate: CellGate, pair: RowPair, report: StoredReport) -> Finding:
     )
 
 
-def _why_unusable(pair: RowPair, column: str, *, is_evaluated: bool) -> str:
-    """Return why a value can meet no condition; empty if it can."""
+def _why_unusable(pair: RowPair, column: str, verdict: str) -> str:
+    """Return why a value of a filter with some verdict can meet no condition; empty if it can."""
     layout, row, value = pair.layout, pair.new, pair.new.get(column)
     # A gain or loss fails if the filter is not evaluated; the verdict itself can pass.
     is_relative = not layout.baseline_too or layout.name == "drift"
     is_gain = (layout.name, column) in OF_GAIN or (is_relative and column in layout.better)
-    if is_gain and not is_evaluated:
-        return f"is {value_text(value)}, but the filter is {Verdict.NOT_EVALUATED}"
+    if is_gain and verdict in WITHOUT_VERDICT:
+        return f"is {value_text(value)}, but the filter is {verdict}"
     if row.get("status") == ReferenceStatus.PARTLY_COVERED and column in layout.better:
         covered = f"the reference does not cover the whole replay ({ReferenceStatus.PARTLY_COVERED})"
         return f"is {value_text(value)}, but {covered}"

@@ -7,7 +7,7 @@ import typer
 from insdvl_replay import __version__
 from insdvl_replay.cli import options as opt
 from insdvl_replay.cli.analyses import calibrate, inspect, study
-from insdvl_replay.cli.changes import check, compare
+from insdvl_replay.cli.changes import check, compare, plan
 from insdvl_replay.cli.messages import write_stdout
 from insdvl_replay.cli.run import run
 from insdvl_replay.cli.utilities import compile_, config, explain, figure, schema, simulate
@@ -19,7 +19,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, compare, check, inspect, calibrate, figure, simulate, config, schema, explain):
+for command in (run, compare, check, plan, inspect, calibrate, figure, simulate, config, schema, explain):
     app.command(cls=opt.PlainCommand)(command)
 app.command("compile", cls=opt.PlainCommand)(compile_)
 app.add_typer(study, name="study")

@@ -99,6 +99,31 @@ def compare(
         raise LimitError(worse)
 
 
+def plan(
+    folder: Annotated[Path, typer.Argument(metavar="RESULTS", help="A result folder, or a folder of results.")],
+    format_: opt.PrintedAs = "table",
+    verbose: opt.Verbose = 0,
+    color: opt.Colored = "auto",
+) -> None:
+    """Show what change the dives of a result can find, and how many dives find smaller ones.
+
+    A change is found if it is better or worse in four of five cases. The scatter over dives is that of the result.
+
+    \b
+    Example:
+      insdvl-replay plan replay
+      insdvl-replay plan replay --format csv > plan.csv
+    """
+    from insdvl_replay.cli.screen import written
+    from insdvl_replay.core.result import Report
+    from insdvl_replay.results.stored_results import read_reports
+    from insdvl_replay.show.plan import plan_result
+
+    found, notes = read_reports(folder, Report)
+    write_stdout(written(plan_result([report for _, report in found]), format_))
+    log_notes(notes, verbose=verbose > 0)
+
+
 def _print_comparison(
     found: "Comparison",
     shown: "Comparison",  # what the screen and pages have of it

@@ -149,8 +149,9 @@ FailOn = Annotated[
     str | None,
     typer.Option(
         "--fail-on",
-        metavar="worse|P%",
-        help="Exit with 1 if the answer for a filter is worse, or if any value is worse by more than P%.",
+        metavar="worse|undecided|P%",
+        help="Exit with 1 if the answer for a filter is worse, or not decided either, or if any value is worse by more "
+        "than P%.",
     ),
 ]
 Rerun = Annotated[bool, typer.Option("--rerun", help="Replay all dives, also those whose result is up to date.")]

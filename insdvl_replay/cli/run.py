@@ -15,6 +15,7 @@ from insdvl_replay.cli import options as opt
 from insdvl_replay.core.errors import ConfigError, LogError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
     from contextlib import AbstractContextManager
 
     from insdvl_replay.batch.jobs import Outcome, ReplayJob
@@ -44,7 +45,7 @@ def run(
     starts: Annotated[
         int | None,
         typer.Option(
-            metavar="K", min=1, help="Number of random starts for each filter (default: evaluation.starts, 16)."
+            metavar="K", min=1, help="Drawn starts of each filter, for convergence (default: evaluation.starts, 16)."
         ),
     ] = None,
     format_: Annotated[opt.PageFormat, typer.Option("--format", help="Output format.")] = "table",
@@ -53,6 +54,12 @@ def run(
     offline: opt.Offline = False,
     allow_code: opt.AllowCode = False,
     one_dive: opt.OneDive = False,
+    assay: Annotated[
+        bool,
+        typer.Option(
+            "--assay", help="Also replay the baseline with planted faults: what could these dives have shown?"
+        ),
+    ] = False,
     control: Annotated[
         bool, typer.Option("--control", help="Add a filter `tuned`: the baseline with its noise fitted to the log.")
     ] = False,
@@ -160,6 +167,7 @@ def run(
         load(report=log_info),
         allow_damaged=allow_damaged,
         control=control,
+        assay=assay,
         tracks=("tum",) * tum + ("kml",) * kml + ("geojson",) * geojson,
         history_format=history or "",
         require_fit=is_free and not blocked_by,
@@ -232,6 +240,7 @@ def run(
                 if verbose and report.notes and not explained:
                     log_to_stderr("`insdvl-replay explain CODE` tells more about a note")
                     explained = True
+            _log_cpu_s(report.tool.cpu_s, verbose)
             if talks or (outcome.unchanged and alone and not quiet):
                 log_to_stderr(f"{'unchanged' if outcome.unchanged else 'wrote'} {target}")
             if prints_each:
@@ -261,6 +270,15 @@ def run(
         first = next((f"; the first: {report.reason}" for report in reports if isinstance(report, Failure)), "")
         log_to_stderr(f"error: {len(failed)} of {len(codes)} logs failed: {', '.join(failed)}{first}")
     return max(codes.values())
+
+
+def _log_cpu_s(cpu_s: "Mapping[str, float]", verbose: int) -> None:
+    """Report how many processor seconds one run of each filter over the dive took, if verbose."""
+    from insdvl_replay.cli.messages import log_to_stderr
+
+    if verbose and cpu_s:
+        times = ", ".join(f"{name} {seconds:.3g} s" for name, seconds in cpu_s.items())
+        log_to_stderr(f"processor time of one run over the dive: {times}")
 
 
 def _strict_code(name: str, report: "Report", verbose: int) -> int:

@@ -475,6 +475,14 @@ class Evaluation(Section, frozen=True):
         tuple[str, ...],
         Comment(f"sensors that no filter uses, and that evaluate all filters: {' | '.join(SENSORS)}"),
     ] = ()
+    primary: Annotated[
+        str, Comment("quantity that decides, such as drift_60s; left out: position, else outage_60s, else outage_30s")
+    ] = ""
+    lost_m: Annotated[Positive, Comment("horizontal position error above which a vehicle counts as lost")] = 10.0
+    candidate: Annotated[str, Comment("filter that the question is about; the others share the error rate")] = ""
+    repeats: Annotated[
+        bool, Comment("whether your own filters run again, unchanged and with changes of the input that mean nothing")
+    ] = True
 
 
 class Topic(Section, frozen=True):

@@ -48,6 +48,7 @@ from insdvl_replay.core.errors import (
     visible,
 )
 from insdvl_replay.core.path_kinds import looks_like_log, require_kind_of_toml
+from insdvl_replay.core.quantities import DECIDERS
 from insdvl_replay.core.states import AIDING, DVL_AIDING, MORE_STATES, SENSORS
 
 KeyPath = tuple[str | int, ...]  # Names of tables and keys from the top, and places in arrays among them.
@@ -539,6 +540,15 @@ def _problems(config: Config, *, allow_code: bool) -> Iterator[Problem]:
     yield from impossible_values(config)
     held_out = config.evaluation.held_out
     yield from _wrong_words(held_out, SENSORS, "evaluation", "held_out")
+    primary, candidate = config.evaluation.primary, config.evaluation.candidate
+    if primary and primary not in DECIDERS:
+        yield ("evaluation", "primary"), f"evaluation.primary '{primary}' is not known", hint_for(primary, DECIDERS)
+    candidates = [*config.filters][1:]
+    if candidate and candidate not in candidates:
+        what = f"evaluation.candidate '{candidate}' is no candidate"
+        yield ("evaluation", "candidate"), what, hint_for(candidate, candidates)
+    if config.evaluation.primary:
+        yield from _wrong_words((config.evaluation.primary,), DECIDERS, "evaluation", "primary")
     if not config.filters:
         yield ("filters",), "no filter is configured", 'add [filters.baseline] with aiding = ["velocity"]'
     for name in config.topics:

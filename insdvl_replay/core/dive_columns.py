@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay
+from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay, StartHeading
 from insdvl_replay.core.errors import Note
 
 Floats = NDArray[np.float64]
@@ -262,4 +262,5 @@ class Dive:
     channels: tuple[Channel, ...] = ()  # what the log holds
     reference_delay: ReferenceDelay | None = None  # None: nobody has looked
     imu_fingerprint: ImuFingerprint | None = None  # of all samples; None: not taken yet
+    start_heading: StartHeading | None = None  # None: not replayed yet
     notes: tuple[Note, ...] = field(default=())  # what was dropped, assumed or found odd while reading

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from insdvl_replay.core.errors import ConfigError
-from insdvl_replay.core.words import DelayStatus
+from insdvl_replay.core.words import DelayStatus, HeadingSource
 
 # Endings of logs. Of those that differ in nothing else the first is the one that a log was converted to.
 LOG_SUFFIXES: Final = (".mcap", ".db3", ".bag")
@@ -70,6 +70,17 @@ class ReferenceDelay:
     def is_checked(self) -> bool:
         """Whether the delay is known well enough to rely on."""
         return self.status == DelayStatus.DETERMINED
+
+
+@dataclass(frozen=True)
+class StartHeading:
+    """What the heading at the start comes from, and how well it is known."""
+
+    source: HeadingSource
+    sd_deg: float  # as the filters are told
+    # Of the second start, in whose heading only the vehicle's own sensors and `[initial]` count; None: there was none.
+    drawn_sd_deg: float | None = None
+    drawn_error_deg: float | None = None  # by which the heading of the second start was turned
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from typing import Final
 
 from insdvl_replay.core.states import AIDING, AXES_N, BA, BG, DV, PHI, POSITION, SENSORS, STATES
-from insdvl_replay.core.words import Consistency
+from insdvl_replay.core.words import Consistency, Verdict
 
 # On a filter's consistency; ``insufficient data`` says nothing of it and has no rank.
 VERDICTS_BEST_FIRST: Final = (
@@ -12,6 +12,9 @@ VERDICTS_BEST_FIRST: Final = (
     Consistency.OVERCONFIDENT,
     Consistency.NOT_FINITE,
 )
+
+# Of candidates without a verdict: their numbers mean nothing.
+WITHOUT_VERDICT: Final = (Verdict.NOT_EVALUATED, Verdict.NOT_REPEATABLE)
 
 # Rows of reference errors and their units; ``position_h_pct`` is of the way by the reference.
 REFERENCE_QUANTITIES: Final = {
@@ -91,7 +94,7 @@ def is_reserved(measurement: str) -> bool:
     return of_a_kind or measurement in MEASUREMENTS or measurement in AIDING
 
 
-# Errors against the reference, the one that decides first.
+# Errors against the reference.
 ACCURACY: Final = (
     "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading"
 )  # fmt: skip
@@ -111,9 +114,11 @@ CONVERGED: Final = {"velocity": "velocity_h", "level": "level", "heading": "phi_
 _CONVERGENCE: Final = tuple(f"convergence_{name}" for name in CONVERGED)
 # Differences from sensors that are withheld.
 HELD_OUT_QUANTITIES: Final = tuple(f"{HELD_OUT}{name}" for name in SENSORS)
-# Evidence whether innovations and errors are as large as a filter says; it has no vote.
+# How well a filter predicts the DVL, by its log score.
+PREDICTION: Final = "prediction"
+# Evidence whether innovations and errors are as large as a filter says; it neither decides nor warns.
 CONSISTENCY: Final = "consistency"
-# Errors of the track of a whole dive, one sample each: unit, and row and column of the reference errors.
+# Errors of the track of a whole dive: unit, and row and column of the reference errors.
 TRACK: Final = {
     "position": ("m", "position_h", "rmse"),
     "position_end": ("m", "position_h", "final"),
@@ -121,15 +126,27 @@ TRACK: Final = {
     "position_end_pct": ("%", "position_h_pct", "final"),
     "depth": ("m", "depth", "rmse"),
 }
-_NO_VOTE: Final = ("depth_60s", f"{HELD_OUT}depth")
-# Quantities by which a candidate is better or worse.
-DECIDING: Final = (*(name for name in (*ACCURACY, *_OUTAGE, *HELD_OUT_QUANTITIES) if name not in _NO_VOTE),)
-# Those by which several dives decide, or one dive in two results. One dive is one sample of its track; and of the
-# sensors, by which filters converge.
-DECIDING_TOGETHER: Final = (*DECIDING, "position", "velocity", "position_end", "depth", *_CONVERGENCE)
+# The position from a start whose heading errs as the vehicle's own may, where only the reference gave the heading.
+DRAWN_HEADING: Final = "position_drawn_heading"
+# The quantities that may decide, the first that the logs contain before others.
+PRIMARIES: Final = ("position", "outage_60s", "outage_30s")
+# All that settings may name instead.
+DECIDERS: Final = (*TRACK, *_OUTAGE, *ACCURACY, *HELD_OUT_QUANTITIES)
+# Quantities that can warn, by kind; the first of a kind that the dives have stands for it.
+SECONDARIES: Final = {
+    "outage": ("outage_60s", "outage_30s"),
+    "drift": ("drift_60s", f"{HELD_OUT}position"),
+    "level": ("level",),
+    "heading": ("heading", f"{HELD_OUT}heading"),
+    "velocity along": ("velocity_along",),
+    "velocity across": ("velocity_across",),
+}
 FEWEST_DIVES: Final = 3  # Fewer dives decide nothing.
-# Rows of evidence, each name once.
-EVIDENCE_QUANTITIES: Final = (*ACCURACY, *TRACK, *_OUTAGE, *HELD_OUT_QUANTITIES, *_CONVERGENCE, "nis", "nees")
+# Rows of evidence, each name once, those that may decide in front.
+EVIDENCE_QUANTITIES: Final = (
+    *(*TRACK, DRAWN_HEADING, *_OUTAGE, *ACCURACY, *HELD_OUT_QUANTITIES, PREDICTION, "position_crps", *_CONVERGENCE),
+    *("nis", "nees"),
+)
 _LABELS: Final = {
     **{state.id: state.label for state in STATES},
     **{f"outage_{window}s": f"DVL outage {window} s" for window in OUTAGE_WINDOWS_S},
@@ -145,12 +162,15 @@ _LABELS: Final = {
     "velocity_d": "velocity, down",
     "position_h": "position",
     "position_h_pct": "pos. / distance",
+    DRAWN_HEADING: "position, drawn heading",
     "position_end": "position at the end",
     "position_pct": "position of distance",
     "position_end_pct": "end of distance",
     "convergence_velocity": "velocity settled",
     "convergence_level": "level settled",
     "convergence_heading": "heading settled",
+    "prediction": "prediction of DVL",
+    "position_crps": "position CRPS",
     "nis": "NIS / dof",
     "nees": "NEES / dof",
     JOINT: "all together",

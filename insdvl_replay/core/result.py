@@ -35,7 +35,7 @@ from msgspec.structs import astuple
 
 from insdvl_replay import __version__
 from insdvl_replay.core.config import Config
-from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay
+from insdvl_replay.core.dive_record import Channel, ImuFingerprint, ReferenceDelay, StartHeading
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.runtime import sources_digest
 from insdvl_replay.core.tables import CandidateVerdict, Tables
@@ -229,6 +229,7 @@ class Tool(Struct, frozen=True):
     ] = None
     started_at: Annotated[str | None, Meta(description="UTC, ISO 8601")] = None
     elapsed_s: float | None = None
+    cpu_s: Annotated[dict[str, float], Meta(description="processor seconds of one run over the dive, by filter")] = {}
 
 
 def this_tool() -> Tool:
@@ -356,6 +357,10 @@ class Report(Struct, frozen=True):
         ImuFingerprint | None,
         Meta(description="digests of samples of the IMU, by which copies of a dive are known; null in early reports"),
     ] = None
+    start_heading: Annotated[
+        StartHeading | None,
+        Meta(description="what the heading at the start comes from, and how well it is known; null in early reports"),
+    ] = None
     files: Files = {}
 
 
@@ -383,6 +388,7 @@ def build_report(
         reference_delay=dive.reference_delay,
         vehicle=config.vehicle.name,
         imu_fingerprint=dive.imu_fingerprint,
+        start_heading=dive.start_heading,
     )
 
 
@@ -438,7 +444,7 @@ class StoredLog(Struct, frozen=True):
 class StoredReport(Struct, frozen=True):
     """The blocks of a report.json."""
 
-    tool: dict[str, Cell]
+    tool: dict[str, Any]
     log: StoredLog
     tables: dict[str, list[Row]]
     versions: dict[str, str] = {}

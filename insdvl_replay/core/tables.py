@@ -27,9 +27,10 @@ from insdvl_replay.core.quantities import (
     axis_of,
 )
 from insdvl_replay.core.states import STATES
-from insdvl_replay.core.words import EvidenceVerdict, Prediction, Verdict, Whiteness
+from insdvl_replay.core.words import EvidenceVerdict, Prediction, Role, Settling, Verdict, Whiteness
 
 Number = float | None
+_TWO_DIGITS: Final = 99.5  # From here on a size with two digits would have an exponent.
 # What is better: ``nearer zero`` for signed errors and correlations, ``nearer dof`` for a mean NIS or NEES.
 Better = Literal["lower", "higher", "nearer zero", "nearer dof"]
 Kind = Literal["text", "count", "number"]
@@ -42,6 +43,16 @@ RATIO: Final = "ratio"  # Columns whose names begin with this have no unit.
 def finite(number: Number) -> float:
     """Return a number of a row, NaN where it is missing or not finite."""
     return math.nan if number is None or not math.isfinite(number) else number
+
+
+def two_digits(size: float) -> str:
+    """Write a size with two digits; a large one in full, without an exponent."""
+    return f"{size:.2g}" if size < _TWO_DIGITS else f"{size:.0f}"
+
+
+def share_text(share: Number) -> str:
+    """Write a share in percent; a dash where it is unknown."""
+    return "-" if math.isnan(finite(share)) else f"{two_digits(100.0 * finite(share))} %"
 
 
 @dataclass(frozen=True)
@@ -312,73 +323,57 @@ class CredibilityRow(Struct, frozen=True):
     why: Annotated[str, _WHY] = ""
 
 
+_ROLE: Final = Col(
+    "primary, secondary (it can warn, and cannot win), veto (the same, on its own), settling or shown.",
+    head="role",
+)
+
+
 class EvidenceRow(Struct, frozen=True):
-    """One measured comparison of a candidate with the baseline, and its verdict."""
+    """One measured comparison of a candidate with the baseline on one dive. One dive has no verdict."""
 
     title: ClassVar = "Evidence: measured, {filter} against {baseline}"
 
     log: Annotated[str, Col("Dive, candidate, kind of evidence and quantity.")]
     filter: str
-    evidence: Annotated[str, Col("accuracy, outage, held_out, track, convergence or consistency.")]
+    evidence: Annotated[str, Col("accuracy, outage, held_out, track, prediction, convergence or consistency.")]
     quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
-    unit: Annotated[str, _unit("Unit of the two values.")]
+    unit: Annotated[str, _unit("Unit of the two values, and of moves.")]
     baseline: Annotated[
         Number,
         Col(
-            "Values of the baseline and the candidate on this dive, from its own start: a root mean square, a final "
-            "error, or the time of convergence from random starts.",
+            "Values of the baseline and the candidate in the same run, from the start that the dive had: a root mean "
+            "square or a final error. Convergence: the time from drawn starts.",
             head="{baseline}",
             better="lower",
         ),
     ]
     value: Annotated[Number, Col(head="{filter}", better="lower")]
-    ratio: Annotated[
+    ratio: Annotated[Number, Col("Candidate over baseline.", head="ratio", form="ratio", better="lower", primary=True)]
+    moves: Annotated[Number, Col("Root mean square of the difference of both runs.", head="moves")] = None
+    acts: Annotated[
         Number,
         Col(
-            "Candidate over baseline, and its 95 % interval on this dive. Accuracy: over all random starts. Other "
-            "dives may differ by more.",
-            head="ratio",
-            form="ratio",
-            better="lower",
-            primary=True,
-        ),
-    ]
-    low: Annotated[Number, Col(head="low", form="ratio")]
-    high: Annotated[Number, Col(head="high", form="ratio")]
-    effective_samples: Annotated[
-        Number, Col("Independent values behind the ratio and its interval.", head="n", form="0")
-    ]
-    starts: Annotated[int, Col("Number of starts, and of compared stretches or windows.")]
-    windows: int
-    verdict: Annotated[
-        str,
-        Col(
-            "better, worse, equivalent or undecided; empty where the filter is not evaluated.",
-            head="verdict",
-            best_first=(
-                EvidenceVerdict.BETTER,
-                EvidenceVerdict.EQUIVALENT,
-                EvidenceVerdict.UNDECIDED,
-                EvidenceVerdict.WORSE,
-            ),
-        ),
-    ]
-    p: Annotated[
-        Number,
-        Col(
-            "Probability of such data with a true difference of at most 5 %, by Student's t or by random starts. Below "
-            "0.01 the row decides.",
-            head="p",
-            form="4",
+            "The same over the error of the baseline. The ratio cannot differ from 1 by more.",
+            head="acts",
+            form="share",
         ),
     ] = None
-    why: Annotated[str, Col("Reason why the row does not decide, if it is not the interval.", head="why")] = ""
+    reference_noise: Annotated[
+        Number, Col("Share of the reference's stated noise in the squared error of the baseline.")
+    ] = None
+    samples: Annotated[int, Col("Compared times, stretches or windows, and starts.", head="n")] = 0
+    starts: int = 1
+    from_s: Annotated[
+        Number, Col("Time after the start up to which the sigma of the baseline settles, which is left out.")
+    ] = None
+    role: Annotated[str, Col("primary (it may decide), secondary, veto, settling or shown.")] = Role.SHOWN
 
 
 class LakeRow(EvidenceRow, frozen=True, kw_only=True):
     """A row of evidence in the dataset of ``run --lake``, with what identifies its replay."""
 
-    filter_verdict: Annotated[str, Col("Verdict of all evidence for the filter.")]
+    filter_verdict: Annotated[str, Col("Verdict on the filter by this dive.")]
     log_sha256: Annotated[str, Col("SHA-256 of the log, and of config.toml of the result.")]
     settings_sha256: str
     version: Annotated[str, Col("Version of the tool, and start of the replay (UTC, ISO 8601).")]
@@ -432,14 +427,12 @@ class OutageRow(Struct, frozen=True):
     ratio_to_baseline: Annotated[
         Number,
         Col(
-            "Ratio of the root mean squares over the same windows, with its 95 % interval; NaN for the baseline.",
+            "Ratio of the root mean squares over the same windows; NaN for the baseline.",
             head="rms\nratio",
             form="2",
             better="lower",
         ),
     ]
-    ratio_low: Number
-    ratio_high: Number
     windows_won_pct: Annotated[
         Number,
         Col(
@@ -500,6 +493,13 @@ class DriftRow(Struct, frozen=True):
     final_of_distance_pct: Annotated[
         Number, Col("Final position error in percent of that distance.", better="lower")
     ] = None
+    two_drms: Annotated[Number, Col("Twice the rms of the horizontal position error (2DRMS).", better="lower")] = None
+    per_hour: Annotated[
+        Number, Col("Final position error over the hours of the replay; of dives of an hour or more.", better="lower")
+    ] = None
+    lost_pct: Annotated[
+        Number, Col("Share of the time with a position error above evaluation.lost_m.", better="lower")
+    ] = None
 
 
 class JumpRow(Struct, frozen=True):
@@ -559,12 +559,12 @@ class TrackFitRow(Struct, frozen=True):
 
 
 class PooledRow(Struct, frozen=True):
-    """One comparison of a candidate with the baseline, pooled over several dives."""
+    """One comparison of a candidate with the baseline, over several dives."""
 
     title: ClassVar = "All dives together: {filter} against {baseline}"
     footnote: ClassVar = (
-        "ratio: geometric mean over dives. low, high: its 95 % interval over dives. Interval and p: Student's t, each "
-        "dive is one sample. At least three dives are needed to decide."
+        "ratio: geometric mean over dives. low, high: its interval, by Student's t; each dive is one sample. "
+        "Wholly below 1/1.05: better. Wholly above 1.05: worse. Wholly between: equivalent."
     )
 
     log: Annotated[str, Col("* for all dives, then candidate, kind of evidence and quantity.")]
@@ -577,7 +577,7 @@ class PooledRow(Struct, frozen=True):
     ratio: Annotated[
         Number,
         Col(
-            "Geometric mean of the dives' ratios, and its 95 % interval over dives (Student's).",
+            "Geometric mean of the dives' ratios, and its interval over dives, which gives the word.",
             head="ratio",
             form="ratio",
             better="lower",
@@ -586,22 +586,72 @@ class PooledRow(Struct, frozen=True):
     ]
     low: Annotated[Number, Col(head="low", form="ratio")]
     high: Annotated[Number, Col(head="high", form="ratio")]
+    level_pct: Annotated[
+        Number,
+        Col("Confidence of the interval: 95 %, more where several candidates or secondary rows share it.", form="1"),
+    ]
+    low_always: Annotated[Number, Col("The 95 % interval that may be looked at after every dive.", form="ratio")]
+    high_always: Annotated[Number, Col(form="ratio")]
     dives: Annotated[int, Col("Dives with a ratio, and those of them in which the candidate is better.", head="dives")]
     dives_won: Annotated[int, Col(head="won")]
+    scatter: Annotated[Number, Col("Standard deviation of the logarithm of the ratio over dives.", form="3")]
     p: Annotated[
         Number,
         Col(
-            "Probability of such data with a true difference of at most 5 %, by Student's t. Below 0.01 the row "
-            "decides.",
+            "Probability of such data with a true difference of at most 5 %, by Student's t; empty without interval.",
             head="p",
             form="4",
         ),
     ]
-    verdict: Annotated[str, Col("better, worse, equivalent or undecided.", head="verdict")]
+    moves: Annotated[Number, Col("Root mean square of the difference of both runs, median over the dives.")]
+    acts: Annotated[
+        Number,
+        Col(
+            "The same over the error of the baseline, median over the dives and largest; the ratio of a dive cannot "
+            "differ from 1 by more.",
+            head="acts",
+            form="share",
+        ),
+    ]
+    acts_most: Number
+    reference_noise: Annotated[
+        Number, Col("Share of the reference's noise in the squared error of the baseline, median over the dives.")
+    ]
+    role: Annotated[str, _ROLE]
+    verdict: Annotated[
+        str,
+        Col(
+            "better, worse, equivalent or undecided; of convergence sooner, later, same or undecided.",
+            head="verdict",
+            best_first=(
+                *(EvidenceVerdict.BETTER, Settling.SOONER, EvidenceVerdict.EQUIVALENT, Settling.SAME),
+                *(EvidenceVerdict.UNDECIDED, Settling.LATER, EvidenceVerdict.WORSE),
+            ),
+        ),
+    ]
+    verdict_always: Annotated[
+        str, Col("The same word by low_always and high_always, which may be asked for after every dive.")
+    ] = EvidenceVerdict.UNDECIDED
+
+
+class AssayRow(Struct, frozen=True):
+    """One control of ``run --assay``: the baseline with a planted fault of known size, against the baseline."""
+
+    title: ClassVar = "Assay: the baseline with a planted fault, {filter}"
+    footnote: ClassVar = "What the evidence would have said of a filter with this fault."
+
+    log: Annotated[str, Col("Dive, control and quantity.")]
+    filter: Annotated[str, Col("Name of the control, such as gyro_noise_x3.", head="control")]
+    quantity: Annotated[str, _quantity(EVIDENCE_QUANTITIES)]
+    unit: Annotated[str, _unit("Unit of the two values.")]
+    baseline: Annotated[Number, Col("Errors without and with the fault.", head="baseline", better="lower")]
+    value: Annotated[Number, Col(head="with fault", better="lower")]
+    ratio: Annotated[Number, Col("With the fault over without it.", head="ratio", form="ratio", primary=True)]
+    role: Annotated[str, Col("primary (it may decide), secondary or shown.")] = Role.SHOWN
 
 
 class Tables(Struct, frozen=True):
-    """The tables, with the rows of the CSV files; missing values are null. Early reports lack the last six."""
+    """The tables, with the rows of the CSV files; missing values are null. Early reports lack the last seven."""
 
     improvement: list[ImprovementRow]
     convergence: list[ConvergenceRow]
@@ -613,6 +663,7 @@ class Tables(Struct, frozen=True):
     drift: list[DriftRow] = []
     track_fit: list[TrackFitRow] = []
     jumps: list[JumpRow] = []
+    assay: list[AssayRow] = []
 
 
 class CandidateVerdict(Struct, frozen=True):
@@ -621,7 +672,10 @@ class CandidateVerdict(Struct, frozen=True):
     sentence: Annotated[str, Meta(description="one paragraph for people: measured, predicted, consistency")]
     verdict: Annotated[
         str,
-        Meta(description="verdict of all evidence: better, worse, mixed, equivalent, undecided or not evaluated"),
+        Meta(
+            description="verdict: on one dive no effect, equivalent (both proved), undecided, not repeatable or not "
+            "evaluated"
+        ),
         Col(best_first=tuple(Verdict)),
     ]
     consistency: Annotated[
@@ -657,6 +711,8 @@ class CandidateVerdict(Struct, frozen=True):
     mean_convergence_unchanged_pct: Annotated[
         Number, Meta(description="mean convergence improvement of a candidate without any change")
     ] = None
+    reason: Annotated[str, Meta(description="why it is not evaluated; empty if it is")] = ""
+    primary: Annotated[str, Meta(description="the quantity that decides, by what the log has; empty: none")] = ""
     mean_nearest_approach_improvement_pct: Annotated[
         Number,
         Meta(description="as mean_convergence_improvement_pct, by the nearest approach, as Levy and Klein count"),

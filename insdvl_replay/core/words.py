@@ -39,24 +39,60 @@ class Whiteness(StrEnum):
 
 
 class EvidenceVerdict(StrEnum):
-    """The verdict of one evidence row on a candidate."""
+    """The word of one ratio over several dives, by its interval and the band of a factor 1.05 to each side of 1."""
 
-    BETTER = "better"
-    EQUIVALENT = "equivalent"  # Surely within the margin of 5 %.
-    UNDECIDED = "undecided"  # The data cannot tell.
-    WORSE = "worse"
+    BETTER = "better"  # The interval is wholly left of the band.
+    EQUIVALENT = "equivalent"  # Wholly inside; or a proof shows that the ratio cannot leave the band.
+    UNDECIDED = "undecided"
+    WORSE = "worse"  # Wholly right.
+
+
+class Settling(StrEnum):
+    """The second answer: whether a candidate settles sooner from drawn starts, by the same rule."""
+
+    SOONER = "sooner"
+    SAME = "same"
+    UNDECIDED = "undecided"
+    LATER = "later"
+
+
+class Role(StrEnum):
+    """What a row of evidence may do for the verdict."""
+
+    # It is the one quantity that decides; in the rows of a dive: it may become that.
+    PRIMARY = "primary"
+    SECONDARY = "secondary"  # It can warn, and cannot win.
+    VETO = "veto"  # It can turn better into mixed on its own, and makes no other word.
+    SETTLING = "settling"  # It gives the second answer.
+    SHOWN = "shown"
 
 
 class Verdict(StrEnum):
-    """The verdict of all evidence on a candidate."""
+    """The verdict on a candidate, by its primary quantity."""
 
-    BETTER = "better"  # Better in some row, worse in none.
+    BETTER = "better"
+    BETTER_WITHOUT_DVL = "better without DVL"  # The primary quantity is the drift in DVL outages.
     EQUIVALENT = "equivalent"
+    EQUIVALENT_WITHOUT_DVL = "equivalent without DVL"
+    NO_EFFECT = "no effect"  # No error of the baseline is changed by 1 %.
     UNDECIDED = "undecided"
+    # The primary quantity is better, and another is surely worse; or the word depends on the heading at the start.
     MIXED = "mixed"
+    WORSE_WITHOUT_DVL = "worse without DVL"
     WORSE = "worse"
+    # The candidate's answer differs from run to run, or by changes of its input that mean nothing.
+    NOT_REPEATABLE = "not repeatable"
     # The candidate or the baseline diverged or is misconfigured, so their numbers cannot be compared.
     NOT_EVALUATED = "not evaluated"
+
+
+class HeadingSource(StrEnum):
+    """Where the heading at the start comes from."""
+
+    REFERENCE = "reference"
+    SENSOR = "sensor"
+    FIT = "fit"  # to positions of the reference
+    SETTINGS = "settings"
 
 
 class Prediction(StrEnum):

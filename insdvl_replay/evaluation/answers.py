@@ -1,58 +1,78 @@
-"""The answer for a candidate, by one dive or by several: the evidence rows that decided, and their words.
+"""The answer for a candidate over several dives, or on one: one primary quantity, its interval, and its word.
 
-Of several dives, each dive is one pair, however long it is. The rules are the same as for one dive.
+The primary quantity is chosen by what the logs contain, before anything is compared. Its interval over dives gives the
+verdict (`interval.word_of_interval`). Other quantities can warn and cannot win. Convergence is a second answer by the
+same rule. One dive has no verdict, except where it is proved how little the candidate does.
 """
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from typing import Annotated, Final, Generic, TypeVar
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from enum import StrEnum
+from typing import Annotated, Final
 
 import numpy as np
 from msgspec import Meta, Struct
 
-from insdvl_replay.core.errors import counted
 from insdvl_replay.core.quantities import (
     CONSISTENCY,
-    DECIDING,
-    DECIDING_TOGETHER,
+    DRAWN_HEADING,
     EVIDENCE_QUANTITIES,
     FEWEST_DIVES,
-    label,
+    PREDICTION,
+    PRIMARIES,
+    SECONDARIES,
 )
-from insdvl_replay.core.tables import EvidenceRow, Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, Prediction, Verdict
-from insdvl_replay.evaluation.evidence import FEWEST_STARTS, SOONER
-from insdvl_replay.evaluation.series import (
-    FEWEST_EFFECTIVE,
-    LARGEST_P,
-    MARGIN,
-    RatioInterval,
-    dives_ratio,
-    verdict_of_interval,
-    what_settles,
+from insdvl_replay.core.tables import AssayRow, EvidenceRow, Number, PooledRow, finite
+from insdvl_replay.core.words import EvidenceVerdict, Prediction, Role, Settling, Verdict
+from insdvl_replay.evaluation.interval import (
+    BAND,
+    LEVEL,
+    Interval,
+    holm_levels,
+    level_of_candidates,
+    log_ratio_interval,
+    word_of_interval,
 )
 
 NOTABLE_PCT: Final = 5.0  # A smaller predicted gain is not checked.
 CONFIRMED: Final = 0.5  # Share of the predicted improvement that has to be measured.
-MANY_TIMES: Final = 3.0  # A larger ratio is written in times instead of percent.
-MOST_NAMED: Final = 2  # Evidence rows in the sentence; the table has all.
-AGAINST: Final = {
-    Verdict.BETTER: "is BETTER than",
-    Verdict.WORSE: "is WORSE than",
-    Verdict.MIXED: "is MIXED (better in some quantities, worse in others) against",
-    Verdict.EQUIVALENT: "is equivalent to",
-    Verdict.UNDECIDED: "is undecided against",
-    Verdict.NOT_EVALUATED: "is NOT EVALUATED against",
-}
+NO_EFFECT: Final = 0.01  # A candidate that moves every error by less has no effect.
+# A candidate that moves an error by less cannot leave the band, on whatever dives.
+PROVED: Final = 1.0 - 1.0 / BAND
+NOISY: Final = 0.5  # Share of the reference's noise above which equality of filters is that of the noise.
 EVERY_DIVE: Final = "*"  # Instead of a dive's name.
-FEWEST_SHOWN: Final = 3  # The interval of fewer effective samples, or dives, is stored but not shown.
+CONTROL: Final = "tuned"  # The filter that `--control` adds.
 DECIDED: Final = (EvidenceVerdict.BETTER, EvidenceVerdict.WORSE)
 
-Piece = EvidenceRow | PooledRow  # one evidence row, of one dive or of several
-P = TypeVar("P", bound=Piece)
+_SETTLING: Final = {
+    EvidenceVerdict.BETTER: Settling.SOONER,
+    EvidenceVerdict.EQUIVALENT: Settling.SAME,
+    EvidenceVerdict.UNDECIDED: Settling.UNDECIDED,
+    EvidenceVerdict.WORSE: Settling.LATER,
+}
+_WITHOUT_DVL: Final = {
+    Verdict.BETTER: Verdict.BETTER_WITHOUT_DVL,
+    Verdict.EQUIVALENT: Verdict.EQUIVALENT_WITHOUT_DVL,
+    Verdict.WORSE: Verdict.WORSE_WITHOUT_DVL,
+}
+# Verdicts by which a candidate is better, and by which it is worse, in whatever quantity decides.
+GOOD: Final = (Verdict.BETTER, Verdict.BETTER_WITHOUT_DVL)
+BAD: Final = (Verdict.WORSE, Verdict.WORSE_WITHOUT_DVL, Verdict.MIXED)
 
 
-class Answer(Struct, Generic[P], frozen=True, kw_only=True):
+class Undecided(StrEnum):
+    """Why there is no word."""
+
+    NONE = ""
+    ONE_DIVE = "one dive cannot tell whether the next one will be"
+    FEW_DIVES = "fewer than three dives"
+    NO_PRIMARY = "no quantity that may decide was measured"
+    NOISE = "most of the error is noise of the reference"
+    WIDE = "the interval reaches into the band"
+
+
+class Answer(Struct, frozen=True, kw_only=True):
     """The verdict on a filter against another, by one dive or by several together."""
 
     filter: str
@@ -60,250 +80,316 @@ class Answer(Struct, Generic[P], frozen=True, kw_only=True):
     verdict: Verdict
     dives: Annotated[int, Meta(description="dives that have the filter; of a comparison, on both sides")]
     evaluated: Annotated[int, Meta(description="of them, those in which it is evaluated; of a comparison, on a side")]
-    rows: tuple[P, ...]  # evidence; of several dives, the row that decides first in front
+    rows: tuple[PooledRow, ...]  # the primary row, those that can warn, convergence, and the others
+    primary: Annotated[str, Meta(description="the quantity that decides; empty for none")] = ""
+    settling: Annotated[str, Meta(description="the second answer: sooner, later, same or undecided; empty: not known")]
+    undecided: Annotated[Undecided, Meta(description="why the verdict is undecided; empty where it is not")] = (
+        Undecided.NONE
+    )
     reason: Annotated[
         str, Meta(description="why it is not evaluated, or has no evidence, on a dive: the most common reason")
     ] = ""
 
     @property
-    def known(self) -> list[P]:
+    def known(self) -> list[PooledRow]:
         """The rows that have a ratio."""
-        return [row for row in self.rows if np.isfinite(finite(row.ratio))]
+        return [row for row in self.rows if math.isfinite(finite(row.ratio))]
 
     @property
-    def spoken(self) -> list[P]:
-        """The rows that made the verdict, or could have."""
-        return spoken_of(self.verdict, self.known)
+    def decisive(self) -> PooledRow | None:
+        """The primary row."""
+        return next((row for row in self.rows if row.role == Role.PRIMARY), None)
 
     @property
-    def measured(self) -> str:
-        """What decided, or could have: each change, the interval or why it has none; then what would decide."""
-        pieces = list[str]()
-        for row in self.spoken:
-            piece = changed(row)
-            if isinstance(row, PooledRow) and row.dives > 1 and row.verdict != EvidenceVerdict.EQUIVALENT:
-                alike = row.dives_won if finite(row.ratio) <= 1.0 else row.dives - row.dives_won
-                piece += f" on {alike} of {counted(row.dives, 'dive')}"
-            if not pieces:
-                reason = "" if row.verdict == EvidenceVerdict.EQUIVALENT else reason_in_words(row)
-                found = "; ".join(filter(None, (interval_in_words(row), reason)))
-                piece += f" ({found})" if found else ""
-            pieces.append(piece)
-        needed = would_settle(self.verdict, self.known)
-        settled = f" {needed[:1].upper()}{needed[1:]}." if needed else ""
-        return f"{'; '.join(pieces) or 'there is no evidence'}{left_undecided(self.verdict, self.rows)}.{settled}"
+    def warnings(self) -> list[PooledRow]:
+        """The rows that can warn and whose word is not that of the primary row."""
+        opposite = {
+            EvidenceVerdict.BETTER: (EvidenceVerdict.WORSE,),
+            EvidenceVerdict.WORSE: (EvidenceVerdict.BETTER,),
+        }
+        primary = self.decisive
+        wanted = opposite.get(EvidenceVerdict(primary.verdict), DECIDED) if primary is not None else DECIDED
+        secondary = [row for row in self.rows if row.role == Role.SECONDARY and row.verdict in wanted]
+        # The prediction only vetoes.
+        is_better = primary is not None and primary.verdict == EvidenceVerdict.BETTER
+        veto = [row for row in self.rows if row.role == Role.VETO and row.verdict == EvidenceVerdict.WORSE]
+        return [*secondary, *(veto if is_better else [])]
+
+    @property
+    def from_drawn_heading(self) -> PooledRow | None:
+        """The row of the position from a drawn heading, where only the reference gave that of the start."""
+        return next((row for row in self.rows if row.quantity == DRAWN_HEADING), None)
+
+    @property
+    def is_by_heading(self) -> bool:
+        """Whether the word depends on the heading at the start."""
+        return starts_contradict(self.decisive, self.from_drawn_heading)
+
+    @property
+    def settles(self) -> PooledRow | None:
+        """The row of the second answer."""
+        return next((row for row in self.rows if row.role == Role.SETTLING), None)
+
+    @property
+    def acting(self) -> PooledRow | None:
+        """The row of the error that the candidate changes most, for its size."""
+        known = [row for row in self.rows if math.isfinite(finite(row.acts))]
+        return max(known, key=lambda row: finite(row.acts), default=None)
 
 
-class CandidateAnswer(Answer[P], frozen=True, kw_only=True):
+class CandidateAnswer(Answer, frozen=True, kw_only=True):
     """The verdict on a candidate of a replay, or of several, and what it predicts by its own covariance."""
 
     log: str = EVERY_DIVE
     predicted_pct: Number  # how much smaller its predicted sigma is; of several dives the median
-    prediction: str  # whether it is confirmed; empty if it is too small to be checked
-    predicted: str  # both as sentences
-
-    @property
-    def where(self) -> str:
-        """The dive, or the number of dives."""
-        dives = counted(self.dives, "dive")
-        some = f"{self.evaluated} of " if self.evaluated < self.dives else ""
-        return f"{some}{dives}" if self.log == EVERY_DIVE else self.log
+    prediction: Prediction  # whether it is confirmed
 
 
-# --- Verdicts over several rows.
+# --- The primary quantity.
 
 
-def may_decide(row: Piece) -> bool:
-    """Return whether a row has a vote, on one dive or over several."""
-    return row.quantity in (DECIDING_TOGETHER if isinstance(row, PooledRow) else DECIDING)
+def primary_of(dives: Sequence[Sequence[EvidenceRow]], named: str = "") -> str:
+    """Choose the quantity that decides, by what the dives contain; empty if there is none.
 
-
-def verdict_of(rows: Iterable[Piece]) -> Verdict:
-    """Return what the evidence on one candidate says together.
-
-    Better in something and worse in nothing; mixed if both; else what the first row says.
+    Position decides if at least half of the dives have it, and at least three of three or more. An outage row decides
+    if every dive has it.
     """
-    words = [row.verdict for row in rows if may_decide(row)]
-    better, worse = EvidenceVerdict.BETTER in words, EvidenceVerdict.WORSE in words
-    if better or worse:
-        return Verdict.MIXED if better and worse else Verdict.BETTER if better else Verdict.WORSE
-    return Verdict.EQUIVALENT if words and words[0] == EvidenceVerdict.EQUIVALENT else Verdict.UNDECIDED
+    if named:
+        return named
+    having = Counter(row.quantity for rows in dives for row in rows if row.role == Role.PRIMARY)
+    for quantity in PRIMARIES:
+        needed = max(min(len(dives), FEWEST_DIVES), math.ceil(len(dives) / 2)) if quantity == "position" else len(dives)
+        if dives and having[quantity] >= needed:
+            return quantity
+    return ""
 
 
-def spoken_of(verdict: Verdict, rows: Iterable[P]) -> list[P]:
-    """Choose the evidence rows that made the verdict, or could have: the first of each kind."""
-    words = {verdict.value} & set(EvidenceVerdict) or {EvidenceVerdict.UNDECIDED}
-    if verdict == Verdict.MIXED:
-        words = {*DECIDED}
-    known, spoken = [row for row in rows if may_decide(row)], list[P]()
-    for word in sorted(words):
-        kinds: dict[str, P] = {row.evidence: row for row in reversed(known) if row.verdict == word}
-        spoken += [*reversed(kinds.values())][: MOST_NAMED // len(words)]
-    return spoken
-
-
-# --- The words of a row.
-
-
-def changed(row: Piece) -> str:
-    """Say how much smaller or larger, or sooner or later, a quantity is."""
-    name, ratio, is_time = label(row.quantity), finite(row.ratio), row.evidence == "convergence"
-    if not np.isfinite(ratio):
-        return f"{name} unknown"
-    if ratio >= MANY_TIMES:
-        return f"{name} {ratio:.3g} times as {'late' if is_time else 'large'}"
-    smaller, larger = ("sooner", "later") if is_time else ("smaller", "larger")
-    return f"{name} {abs(100.0 * (ratio - 1.0)):.1f} % {smaller if ratio <= 1.0 else larger}"
-
-
-def shown_interval(row: Piece) -> tuple[float, float] | None:
-    """Return the ends of the interval of a row; None with fewer than three effective samples, or with two dives."""
-    is_enough = row.dives != 2 if isinstance(row, PooledRow) else finite(row.effective_samples) >= FEWEST_SHOWN
-    low, high = finite(row.low), finite(row.high)
-    return (low, high) if is_enough and row.ratio is not None and np.isfinite(high - low) else None
-
-
-def interval_in_words(row: Piece) -> str:
-    """Write the interval of a row, if it is shown, in percent or, as the ratio itself, in times."""
-    if (ends := shown_interval(row)) is None:
-        return ""
-    low, high = ends
-    text = f"{100.0 * (low - 1.0):+z.1f} to {100.0 * (high - 1.0):+z.1f} %"
-    if finite(row.ratio) >= MANY_TIMES:
-        text = f"{low:.3g} to {high:.3g} times"
-    return f"95 % interval {'over dives' if isinstance(row, PooledRow) and row.dives > 1 else 'on this dive'}: {text}"
-
-
-def reason_in_words(row: Piece) -> str:
-    """Say why a row has no interval, or is neither better nor worse although its interval excludes 1; else empty."""
-    if row.ratio is None or row.evidence == CONSISTENCY or row.verdict in ("", *DECIDED):
-        return ""
-    is_pooled, is_time, interval = isinstance(row, PooledRow), row.evidence == "convergence", shown_interval(row)
-    if isinstance(row, EvidenceRow) and row.why:
-        return row.why
-    if row.evidence == "track" and not is_pooled:
-        return "one dive is one sample"
-    if interval is None:
-        return f"fewer than {FEWEST_SHOWN} {'dives' if is_pooled else 'effective samples'}"
-    if interval[0] <= 1.0 <= interval[1]:
-        return ""
-    change = ("sooner" if is_time else "smaller") if row.ratio < 1.0 else "later" if is_time else "larger"
-    margin = SOONER if is_time and not is_pooled else MARGIN
-    if 1.0 / (1.0 + margin) < row.ratio < 1.0 + margin:
-        return f"{change}, but less than {100.0 * margin:.0f} %"
-    if not finite(row.p) < LARGEST_P:
-        return f"{change}, but maybe less than {100.0 * MARGIN:.0f} %"
-    return "never settled on some dive" if is_pooled else f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
-
-
-def would_settle(verdict: Verdict, rows: Iterable[Piece]) -> str:
-    """Say how many dives would decide an undecided candidate; empty if these dives should be enough.
-
-    This is by the first undecided row that does not depend on a single stretch of a dive.
-    """
-    undecided = (row for row in rows if may_decide(row) and row.verdict == EvidenceVerdict.UNDECIDED)
-    row = next((row for row in undecided if isinstance(row, PooledRow) or not row.why), None)
-    if row is None or verdict != Verdict.UNDECIDED:
-        return ""
-    if isinstance(row, PooledRow) and row.dives < FEWEST_DIVES:
-        return "replay more dives"
-    samples, dives = (float(row.dives), row.dives) if isinstance(row, PooledRow) else (finite(row.effective_samples), 1)
-    ends = finite(row.ratio), finite(row.low), finite(row.high)
-    return what_settles(RatioInterval(*ends, *ends[1:], samples, max(samples - 1.0, 1.0)), dives)
-
-
-def left_undecided(verdict: Verdict, rows: Iterable[Piece]) -> str:
-    """Name the undecided rows of an equivalent candidate, as the end of a sentence."""
-    undecided = (row.quantity for row in rows if may_decide(row) and row.verdict == EvidenceVerdict.UNDECIDED)
-    names = ", ".join(map(label, undecided)) if verdict == Verdict.EQUIVALENT else ""
-    return f"; undecided: {names}" if names else ""
-
-
-# --- Predictions.
-
-
-def most_starts(evidence: Iterable[EvidenceRow]) -> int:
-    """Return the number of random starts behind the accuracy."""
-    return max((row.starts for row in evidence if row.evidence == "accuracy" and row.ratio is not None), default=0)
-
-
-def prediction_of(predicted_pct: float, evidence: Iterable[Piece], starts: int) -> Prediction:
-    """Return whether at least half of a predicted improvement was measured, by the medians of the intervals' ends."""
-    measured = [row for row in evidence if row.evidence == "accuracy" and row.ratio is not None]
-    if measured and starts >= FEWEST_STARTS and predicted_pct >= NOTABLE_PCT:
-        least_pct, most_pct = (
-            100.0 * (1.0 - float(np.median([finite(end) for end in ends])))
-            for ends in ([row.high for row in measured], [row.low for row in measured])
-        )
-        if least_pct >= CONFIRMED * predicted_pct:
-            return Prediction.CONFIRMED
-        if most_pct < CONFIRMED * predicted_pct:
-            return Prediction.NOT_CONFIRMED
-    return Prediction.UNDECIDED
-
-
-def on_prediction(prediction: str, evidence: Iterable[EvidenceRow], *, has_reference: bool, dives: int = 1) -> str:
-    """Say whether a predicted improvement is confirmed, and why not."""
-    if prediction == Prediction.CONFIRMED:
-        return "Confirmed"
-    starts = [row.starts for row in evidence if row.evidence == "accuracy"]
-    reason = "one dive is too short" if dives == 1 else "the measured interval is too wide to tell"
-    if prediction == Prediction.NOT_CONFIRMED:
-        reason = "all accuracy evidence together shows less than half of it"
-    elif not has_reference:
-        reason = "there is no reference"
-    elif not starts:
-        reason = "no accuracy was measured"
-    elif max(starts) < FEWEST_STARTS:
-        reason = f"this takes {FEWEST_STARTS} random starts (--starts 16)"
-    elif 1 < dives < FEWEST_DIVES:
-        reason = f"this takes {FEWEST_DIVES} dives"
-    return f"Not confirmed: {reason}"
-
-
-# --- Several dives.
-
-
-def median_of(numbers: Iterable[float]) -> float:
-    """Return the median of the finite numbers, NaN for none."""
-    known = [number for number in numbers if np.isfinite(number)]
-    return float(np.median(known)) if known else float("nan")
+# --- The rows over several dives.
 
 
 def pooled_evidence(
     candidate: str,
     dives: Sequence[Sequence[EvidenceRow]],  # the candidate's rows of each dive in which it is evaluated
+    *,
+    primary: str | None = None,  # the quantity that decides; None: by `primary_of`
+    level: float = LEVEL,
+    vehicles: Sequence[str] | None = None,  # of each dive
 ) -> list[PooledRow]:
-    """Pool the evidence of several dives on one candidate; the row that decides first is in front."""
+    """Pool the evidence of several dives on one candidate; the row that decides is in front."""
+    primary = primary_of(dives) if primary is None else primary
+    by_quantity: dict[str, list[tuple[EvidenceRow, str]]] = {}
+    names = [""] * len(dives) if vehicles is None else vehicles
+    for rows, vehicle in zip(dives, names, strict=True):
+        for row in rows:
+            if row.evidence != CONSISTENCY:
+                by_quantity.setdefault(row.quantity, []).append((row, vehicle))
+    quantities = [quantity for quantity in EVIDENCE_QUANTITIES if quantity in by_quantity]
+    roles = _roles(quantities, primary, _may_warn(by_quantity))
+    # Secondary rows share the error of one.
+    secondary = [quantity for quantity in quantities if roles[quantity] == Role.SECONDARY]
+    p_values = [_interval(by_quantity[quantity], level).p for quantity in secondary]
+    levels = dict(zip(secondary, holm_levels(p_values, level), strict=True))
+    pooled = [
+        _pooled_row(candidate, by_quantity[quantity], roles[quantity], levels.get(quantity, level))
+        for quantity in quantities
+    ]
+    order = list(Role)
+    return sorted(pooled, key=lambda row: order.index(Role(row.role)))
+
+
+def _may_warn(by_quantity: Mapping[str, Sequence[tuple[EvidenceRow, str]]]) -> set[str]:
+    """Return the quantities that can warn on at least half of their dives."""
+    warning = (Role.PRIMARY, Role.SECONDARY)
+    return {
+        quantity
+        for quantity, rows in by_quantity.items()
+        if 2 * sum(row.role in warning for row, _ in rows) >= len(rows)
+    }
+
+
+def _roles(quantities: Sequence[str], primary: str, may_warn: Collection[str]) -> dict[str, Role]:
+    """Give each quantity its role: one decides, the first known of each kind can warn, one is the second answer."""
+    roles = dict.fromkeys(quantities, Role.SHOWN)
+    for kind in SECONDARIES.values():
+        known = [quantity for quantity in kind if quantity in may_warn]
+        if known and primary not in kind:
+            roles[known[0]] = Role.SECONDARY
+    settling = [quantity for quantity in quantities if quantity.startswith("convergence")]
+    if settling:
+        roles[settling[0]] = Role.SETTLING
+    if PREDICTION in roles:
+        roles[PREDICTION] = Role.VETO
+    if primary in roles:
+        roles[primary] = Role.PRIMARY
+    return roles
+
+
+def _interval(rows: Sequence[tuple[EvidenceRow, str]], level: float) -> Interval:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log([finite(row.ratio) for row, _ in rows])
+    return log_ratio_interval(logs, level=level, vehicles=[vehicle for _, vehicle in rows])
+
+
+def _pooled_row(
+    candidate: str, rows_of_dives: Sequence[tuple[EvidenceRow, str]], role: Role, level: float
+) -> PooledRow:
+    rows = [row for row, _ in rows_of_dives]
+    interval = _interval(rows_of_dives, level)
+    acts_most = _largest(row.acts for row in rows)
+    noise_share = median_of(finite(row.reference_noise) for row in rows)
+    is_settling = rows[0].evidence == "convergence"
+    # On some dive one of the filters never settled. Only dives on which both settled have a ratio.
+    is_unsettled = is_settling and any((row.baseline is None) != (row.value is None) for row in rows)
+    words = [
+        word_of_interval(interval.low, interval.high),
+        word_of_interval(interval.low_always, interval.high_always),
+    ]
+    if acts_most < PROVED:
+        words = [EvidenceVerdict.EQUIVALENT] * 2
+    elif is_unsettled:
+        words = [EvidenceVerdict.UNDECIDED] * 2
+    elif noise_share > NOISY:
+        equal = EvidenceVerdict.EQUIVALENT
+        words = [EvidenceVerdict.UNDECIDED if word == equal else word for word in words]
+    word, word_always = words
+    return PooledRow(
+        log=EVERY_DIVE,
+        filter=candidate,
+        evidence=rows[0].evidence,
+        quantity=rows[0].quantity,
+        unit=rows[0].unit,
+        baseline=median_of(finite(row.baseline) for row in rows),
+        value=median_of(finite(row.value) for row in rows),
+        ratio=interval.ratio,
+        low=interval.low,
+        high=interval.high,
+        level_pct=100.0 * level,
+        low_always=interval.low_always,
+        high_always=interval.high_always,
+        dives=interval.dives,
+        dives_won=sum(finite(row.ratio) < 1.0 for row in rows),
+        scatter=interval.scatter,
+        p=interval.p,
+        moves=median_of(finite(row.moves) for row in rows),
+        acts=median_of(finite(row.acts) for row in rows),
+        acts_most=acts_most,
+        reference_noise=noise_share,
+        role=role,
+        verdict=_SETTLING[word] if is_settling else word,
+        verdict_always=_SETTLING[word_always] if is_settling else word_always,
+    )
+
+
+def _largest(numbers: Iterable[Number]) -> float:
+    """Return the largest number, NaN if one is missing."""
+    known = [finite(number) for number in numbers]
+    return float(np.max(known)) if known else math.nan
+
+
+def median_of(numbers: Iterable[float]) -> float:
+    """Return the median of the finite numbers, NaN for none."""
+    known = [number for number in numbers if math.isfinite(number)]
+    return float(np.median(known)) if known else math.nan
+
+
+# --- What the dives could have shown.
+
+
+def assay_rows(dives: Sequence[Sequence[AssayRow]], primary: str) -> list[PooledRow]:
+    """Pool the controls of several dives: what each quantity would have said of each planted fault."""
+    controls = list(dict.fromkeys(row.filter for rows in dives for row in rows))
     pooled = []
-    for quantity in EVIDENCE_QUANTITIES:
-        rows = [row for dive in dives for row in dive if row.quantity == quantity and row.evidence != CONSISTENCY]
-        if not rows:
-            continue
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = np.asarray(np.log([finite(row.ratio) for row in rows]))
-        interval, known = dives_ratio(logs), np.isfinite(logs)
-        # On some dive one of the filters never settled. Only dives on which both settled have a ratio.
-        unsettled = any((row.baseline is None) != (row.value is None) for row in rows)
-        pooled.append(
-            PooledRow(
-                log=EVERY_DIVE,
-                filter=candidate,
-                evidence=rows[0].evidence,
-                quantity=quantity,
-                unit=rows[0].unit,
-                baseline=median_of(finite(row.baseline) for row in rows),
-                value=median_of(finite(row.value) for row in rows),
-                ratio=interval.ratio,
-                low=interval.low,
-                high=interval.high,
-                dives=int(known.sum()),
-                dives_won=int((logs < 0.0).sum()),
-                p=interval.p,
-                verdict=EvidenceVerdict.UNDECIDED if unsettled else verdict_of_interval(interval, FEWEST_DIVES),
-            )
-        )
+    for control in controls:
+        evidence = [
+            [
+                EvidenceRow(
+                    log=row.log,
+                    filter=control,
+                    evidence="assay",
+                    quantity=row.quantity,
+                    unit=row.unit,
+                    baseline=row.baseline,
+                    value=row.value,
+                    ratio=row.ratio,
+                    role=row.role,
+                )
+                for row in rows
+                if row.filter == control
+            ]
+            for rows in dives
+        ]
+        pooled += pooled_evidence(control, [rows for rows in evidence if rows], primary=primary)
     return pooled
+
+
+def seen_controls(rows: Sequence[PooledRow]) -> tuple[list[str], list[str]]:
+    """Return the controls that the primary quantity would have seen as better or worse, and the others."""
+    primary = [row for row in rows if row.role == Role.PRIMARY]
+    seen = [row.filter for row in primary if row.verdict in DECIDED]
+    return seen, [row.filter for row in primary if row.filter not in seen]
+
+
+# --- The verdict.
+
+
+def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecided]:
+    """Return the verdict of the rows of one candidate, and why it is undecided."""
+    acting = [finite(row.acts_most) for row in rows if math.isfinite(finite(row.acts_most))]
+    if acting and max(acting) < NO_EFFECT:
+        return Verdict.NO_EFFECT, Undecided.NONE
+    primary = next((row for row in rows if row.role == Role.PRIMARY), None)
+    if acting and max(acting) < PROVED:
+        return _of_quantity(Verdict.EQUIVALENT, primary), Undecided.NONE
+    if dives == 1:
+        return Verdict.UNDECIDED, Undecided.ONE_DIVE
+    if primary is None or not math.isfinite(finite(primary.ratio)):
+        return Verdict.UNDECIDED, Undecided.NO_PRIMARY
+    if starts_contradict(primary, next((row for row in rows if row.quantity == DRAWN_HEADING), None)):
+        return Verdict.MIXED, Undecided.NONE
+    word = EvidenceVerdict(primary.verdict)
+    if word == EvidenceVerdict.UNDECIDED:
+        return Verdict.UNDECIDED, _why_undecided(primary)
+    warn = (Role.SECONDARY, Role.VETO)
+    is_warned = any(row.role in warn and row.verdict == EvidenceVerdict.WORSE for row in rows)
+    if word == EvidenceVerdict.BETTER and is_warned:
+        return Verdict.MIXED, Undecided.NONE
+    return _of_quantity(Verdict(word.value), primary), Undecided.NONE
+
+
+def starts_contradict(primary: PooledRow | None, drawn: PooledRow | None) -> bool:
+    """Return whether position says another thing from the drawn heading than from the reference's.
+
+    One of the two rows is better or worse. The other has another word, or it is undecided and lies on the other side:
+    its ratio beyond the band, or its interval beyond 1.
+    """
+    if primary is None or drawn is None or primary.evidence != "track" or not primary.quantity.startswith("position"):
+        return False
+    return _denies(primary, drawn) or _denies(drawn, primary)
+
+
+def _denies(row: PooledRow, other: PooledRow) -> bool:
+    """Return whether a row is decided, and another one cannot stand beside it."""
+    if row.verdict not in DECIDED:
+        return False
+    if other.verdict != EvidenceVerdict.UNDECIDED:
+        return other.verdict != row.verdict
+    if row.verdict == EvidenceVerdict.BETTER:
+        return finite(other.ratio) > BAND or finite(other.low) > 1.0
+    return finite(other.ratio) < 1.0 / BAND or finite(other.high) < 1.0
+
+
+def _of_quantity(verdict: Verdict, primary: PooledRow | None) -> Verdict:
+    """Give the words of an outage their object: how well a filter navigates with the DVL was not measured."""
+    is_outage = primary is not None and primary.evidence == "outage"
+    return _WITHOUT_DVL[verdict] if is_outage else verdict
+
+
+def _why_undecided(primary: PooledRow) -> Undecided:
+    if primary.dives < FEWEST_DIVES:
+        return Undecided.FEW_DIVES
+    if word_of_interval(finite(primary.low), finite(primary.high)) == EvidenceVerdict.EQUIVALENT:
+        return Undecided.NOISE
+    return Undecided.WIDE
 
 
 def pooled_candidate(
@@ -313,23 +399,31 @@ def pooled_candidate(
     dives: int,
     predicted_pct: Iterable[Number] = (),  # of each of these dives
     reasons: Iterable[str] = (),  # why it is not evaluated in the other dives
-) -> CandidateAnswer[PooledRow]:
-    """Pool the evidence on one candidate; its prediction is checked by the rule for one dive, with the pooled rows.
+    *,
+    primary: str | None = None,
+    level: float = LEVEL,
+    vehicles: Sequence[str] | None = None,
+    not_repeatable: int = 0,  # of the other dives, those on which it does not repeat
+) -> CandidateAnswer:
+    """Answer for one candidate by the rows of its dives, one dive or more.
 
-    It is not evaluated if at least half of the dives are not.
+    It is not evaluated if at least half of the dives are not. If it does not repeat on most of the dives that are not
+    evaluated, this is the word.
     """
-    rows, pct = tuple(pooled_evidence(name, evidence)), median_of(map(finite, predicted_pct))
-    every_row = [row for dive in evidence for row in dive]
-    prediction = prediction_of(pct, [row for row in rows if row.dives >= FEWEST_DIVES], most_starts(every_row))
-    predicted = "predicted: unknown."
-    if np.isfinite(pct):
-        size = f"{abs(pct):.1f} % {'smaller' if pct >= 0.0 else 'larger'} sigma"
-        predicted = f"predicted: {size}, median of {counted(len(evidence), 'dive')}."
-    if pct >= NOTABLE_PCT:
-        predicted += f" {on_prediction(prediction, every_row, has_reference=True, dives=len(evidence))}."
-    verdict, reason = verdict_of(rows), next((why for why, _ in Counter(filter(None, reasons)).most_common(1)), "")
+    primary = primary_of(evidence) if primary is None else primary
+    rows = tuple(pooled_evidence(name, evidence, primary=primary, level=level, vehicles=vehicles))
+    pct = median_of(map(finite, predicted_pct))
+    reason = next((why for why, _ in Counter(filter(None, reasons)).most_common(1)), "")
+    verdict, undecided = verdict_of(rows, len(evidence))
+    # Two vehicles that cancel each other may look equivalent together.
+    if vehicles is not None and _contradict(evidence, primary, level, vehicles):
+        verdict, undecided = Verdict.MIXED, Undecided.NONE
     if 2 * len(evidence) <= dives:
-        verdict, reason = Verdict.NOT_EVALUATED, reason or "too few dives are evaluated"
+        is_repeating = 2 * not_repeatable <= dives - len(evidence)
+        verdict = Verdict.NOT_EVALUATED if is_repeating else Verdict.NOT_REPEATABLE
+        undecided = Undecided.NONE
+        reason = reason or "too few dives are evaluated"
+    settles = next((row for row in rows if row.role == Role.SETTLING), None)
     return CandidateAnswer(
         filter=name,
         baseline=baseline,
@@ -337,17 +431,50 @@ def pooled_candidate(
         dives=dives,
         evaluated=len(evidence),
         rows=rows,
+        primary=primary,
+        settling=settles.verdict if settles is not None else "",
+        undecided=undecided,
         reason=reason,
         predicted_pct=pct,
-        prediction=prediction,
-        predicted=predicted,
+        prediction=prediction_of(pct, rows),
     )
 
 
-def pooled_sentence(answer: Answer[PooledRow]) -> str:
-    """Return the verdict by several dives as one sentence."""
-    start = f"{answer.filter} {AGAINST[answer.verdict]} {answer.baseline}"
-    dives = f"{answer.evaluated} of {counted(answer.dives, 'dive')}"
-    if answer.verdict == Verdict.NOT_EVALUATED:
-        return f"{start}, evaluated in only {dives}: {answer.reason}. Settle this first."
-    return f"{start} over {dives}: {answer.measured}"
+def levels_of(answers: Sequence[Answer], named: str = "") -> dict[str, float]:
+    """Return the confidence of the interval of each candidate, by name; several share the error rate of one.
+
+    ``named`` is the candidate that the settings name. Controls, and candidates without any effect, do not count.
+    """
+    levels = dict.fromkeys((answer.filter for answer in answers), LEVEL)
+    sharing = [answer.filter for answer in answers if answer.filter != CONTROL and answer.verdict != Verdict.NO_EFFECT]
+    for name in sharing:
+        levels[name] = level_of_candidates(len(sharing), named=named in sharing, is_named=name == named)
+    return levels
+
+
+def _contradict(evidence: Sequence[Sequence[EvidenceRow]], primary: str, level: float, vehicles: Sequence[str]) -> bool:
+    """Return whether there are two vehicles, on one of which the candidate is better and on the other worse."""
+    names = set(vehicles)
+    if len(names) != 2:
+        return False
+    words = set()
+    for name in names:
+        dives = [rows for rows, vehicle in zip(evidence, vehicles, strict=True) if vehicle == name]
+        rows = [(row, name) for dive in dives for row in dive if row.quantity == primary]
+        interval = _interval(rows, level)
+        words.add(word_of_interval(interval.low, interval.high))
+    return words == {*DECIDED}
+
+
+def prediction_of(predicted_pct: float, rows: Sequence[PooledRow]) -> Prediction:
+    """Return whether at least half of a predicted improvement was measured in the primary quantity."""
+    primary = next((row for row in rows if row.role == Role.PRIMARY), None)
+    if primary is None or not predicted_pct >= NOTABLE_PCT:
+        return Prediction.UNDECIDED
+    least_pct, most_pct = (100.0 * (1.0 - finite(end)) for end in (primary.high, primary.low))
+    if least_pct >= CONFIRMED * predicted_pct:
+        return Prediction.CONFIRMED
+    # A proof that the candidate does nearly nothing refutes it, too.
+    if most_pct < CONFIRMED * predicted_pct or 100.0 * finite(primary.acts_most) < CONFIRMED * predicted_pct:
+        return Prediction.NOT_CONFIRMED
+    return Prediction.UNDECIDED

@@ -21,12 +21,9 @@ from insdvl_replay.core.states import DV, NINE, STATES, State
 from insdvl_replay.core.tables import ConvergenceRow, ImprovementRow, finite
 from insdvl_replay.core.words import ConvergenceStatus, ImprovementStatus
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, improvement_pct, squared_errors
-from insdvl_replay.evaluation.series import MARGIN, RatioInterval
 
 LAST: Final = 0.1  # An rms is over this last share of the elapsed time.
 STEP: Final = 0.02  # Relative step between the times of an rms.
-RESAMPLES: Final = 1000
-SEED: Final = 1
 SAME_PCT: Final = 0.05  # A smaller change of a standard deviation is ``same``: with one digit it would read 0.0 %.
 BEYOND: Final = 1e200  # Replaces larger or not finite squares; no filter recovers from there.
 NINE_NAMES: Final = frozenset(state.id for state in NINE)
@@ -37,21 +34,18 @@ FEWEST_RUNS: Final = 3  # From the own start of the dive, and from two that are 
 
 
 class MeasuredConvergence(NamedTuple):
-    """Times from which two filters stay as good as the baseline at the end, and their ratio."""
+    """Times from which two filters stay as good as the baseline at the end."""
 
     target: float  # rms of the baseline over the last tenth of the time, SI unit
     baseline_s: float  # from the start; NaN unless reached
     candidate_s: float
     status: ConvergenceStatus  # of the baseline if its errors do not fall, else of the candidate
-    # Ratio NaN unless both are reached; ends of the ratios over resampled starts, NaN where the baseline does not fall;
-    # the starts are its samples.
-    interval: RatioInterval
 
 
 def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict[str, MeasuredConvergence]:
     """Compare the convergence of two filters from the same starts, by quantity of `reference_errors.squared_errors`.
 
-    Those of `quantities.CONVERGED` have intervals. Empty where fewer than two starts were drawn. The dive's own start
+    Empty where fewer than two starts were drawn. The dive's own start
     is left out, since it lacks the errors that are to fall; so is the position, of which no measurement tells.
     """
     if min(len(baseline.error), len(candidate.error)) < FEWEST_RUNS:
@@ -60,10 +54,10 @@ def measured_convergences(baseline: DrawnErrors, candidate: DrawnErrors) -> dict
     found = {}
     for quantity in before:
         if quantity in after and quantity != "position_h":
-            squares, with_interval = (before[quantity][1:], after[quantity][1:]), quantity in CONVERGED.values()
+            squares = before[quantity][1:], after[quantity][1:]
             known = np.all([np.isfinite(square).any(axis=0) for square in squares], axis=0)
             if known.any():
-                found[quantity] = measured_convergence(*squares, baseline.time_s, with_interval=with_interval)
+                found[quantity] = measured_convergence(*squares, baseline.time_s)
     return found
 
 
@@ -71,51 +65,35 @@ def measured_convergence(
     baseline_sq: Floats,  # (s, k), squared errors from s starts; times at which no start has a number are left out
     candidate_sq: Floats,  # (s, k), from the same starts
     time_s: Floats,  # (k,), after the start, increasing
-    *,
-    with_interval: bool = True,
 ) -> MeasuredConvergence:
     """Return the times from which two filters stay as good as the baseline at the end.
 
     The rms of s normal draws has the standard error ``1 / sqrt(2 s)`` of itself: by so much it may exceed the target. A
-    filter that is there at once but not for good is as good at the start, and has nothing to bring down. The interval
-    resamples the starts. In it a time at the start counts as the first one, and never as infinite.
+    filter that is there at once but not for good is as good at the start, and has nothing to bring down.
     """
     known = np.isfinite(baseline_sq).any(axis=0) & np.isfinite(candidate_sq).any(axis=0)
     at_s, before, after = over_last_part(time_s[known], baseline_sq[:, known], candidate_sq[:, known])
     starts = len(before)
 
-    def reached_s(weights: Floats) -> list[Floats]:
-        """Return when both stay below the limit, shape (r,), for weights of the starts in r means, shape (r, s).
+    mean_squares = before.mean(axis=0), after.mean(axis=0)
+    limit_sq = float(limit_of(np.sqrt(mean_squares[0][-1]), starts)) ** 2
+    baseline_s, candidate_s = (_reached_s(at_s, mean_sq, limit_sq) for mean_sq in mean_squares)
+    falls = _status(baseline_s) == ConvergenceStatus.REACHED
+    status = _status(candidate_s if falls else baseline_s)
+    baseline_s, candidate_s = (time_s if 0.0 < time_s < np.inf else math.nan for time_s in (baseline_s, candidate_s))
+    return MeasuredConvergence(float(np.sqrt(mean_squares[0][-1])), baseline_s, candidate_s, status)
 
-        It is 0 at the start and infinite never; between two times the mean squares are on a line.
-        """
-        means_sq, rows = [weights @ before, weights @ after], np.arange(len(weights))
-        limit_sq, found = limit_of(np.sqrt(means_sq[0][:, -1]), starts) ** 2, []
-        for mean_sq in means_sq:
-            above = mean_sq > limit_sq[:, None]
-            last = len(at_s) - 1 - np.argmax(above[:, ::-1], axis=1)
-            following = np.minimum(last + 1, len(at_s) - 1)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                share = (mean_sq[rows, last] - limit_sq) / (mean_sq[rows, last] - mean_sq[rows, following])
-                falls_s = at_s[last] + share * (at_s[following] - at_s[last])
-            found.append(np.where(above[:, -1], np.inf, np.where(above[:, 0], falls_s, 0.0)))
-        return found
 
-    (baseline_s,), (candidate_s,) = reached_s(np.full((1, starts), 1.0 / starts))
-    bounds, p, falls = np.full(4, np.nan), math.nan, _status(baseline_s) == ConvergenceStatus.REACHED
-    if falls and with_interval:
-        resampled = np.random.default_rng(SEED).multinomial(starts, np.full(starts, 1.0 / starts), RESAMPLES) / starts
-        baselines_s, candidates_s = reached_s(resampled)
-        ratios = np.maximum(candidates_s, at_s[0]) / np.maximum(baselines_s, at_s[0])
-        # No quantile is between two ratios: some may be infinite.
-        bounds = np.quantile(ratios, [0.025, 0.975, 0.05, 0.95], method="inverted_cdf")
-        is_sooner = candidate_s < baseline_s
-        p = float(np.mean(ratios * (1.0 + MARGIN) > 1.0 if is_sooner else ratios < 1.0 + MARGIN))
-    target, status = float(np.sqrt(before[:, -1].mean())), _status(candidate_s if falls else baseline_s)
-    baseline_s, candidate_s = (float(time) if 0.0 < time < np.inf else math.nan for time in (baseline_s, candidate_s))
-    low, high, low90, high90 = bounds.tolist()
-    interval = RatioInterval(candidate_s / baseline_s, low, high, low90, high90, float(starts), drawn_p=p)
-    return MeasuredConvergence(target, baseline_s, candidate_s, status, interval)
+def _reached_s(at_s: Floats, mean_sq: Floats, limit_sq: float) -> float:
+    """Return when a mean square stays below the limit: 0 at the start, infinite never; on a line between two times."""
+    above = mean_sq > limit_sq
+    if above[-1]:
+        return math.inf
+    if not above[0]:
+        return 0.0
+    last = len(at_s) - 1 - int(np.argmax(above[::-1]))
+    share = (mean_sq[last] - limit_sq) / (mean_sq[last] - mean_sq[last + 1])
+    return float(at_s[last] + share * (at_s[last + 1] - at_s[last]))
 
 
 def over_last_part(time_s: Floats, *squares: Floats) -> tuple[Floats, ...]:

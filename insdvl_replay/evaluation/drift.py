@@ -21,7 +21,7 @@ from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import DRIFT_QUANTITIES, TRACK_FIT_QUANTITIES
 from insdvl_replay.core.states import DEG
 from insdvl_replay.core.tables import DriftRow, JumpRow, TrackFitRow
-from insdvl_replay.evaluation.reference_errors import SHORTEST_M, DrawnErrors, ReferenceErrors, reference_distance_m
+from insdvl_replay.evaluation.reference_errors import SHORTEST_M, ReferenceErrors, reference_distance_m
 from insdvl_replay.evaluation.series import samples_in_mean, thinned
 from insdvl_replay.geometry.frames import find_jumps, north_east_m, steps_of, unexplained_m
 
@@ -30,6 +30,7 @@ SEGMENT_M: Final = 100.0
 STEP_S: Final = 5.0  # Step between the starts of overlapping segments.
 ABOUT: Final = 0.1  # A segment may differ by this share if the reference has no sample at its end.
 ROUNDING: Final = 1e-6  # Share of a segment for rounding of sums.
+SECONDS_PER_HOUR: Final = 3600.0
 SLOWEST_MPS: Final = 0.1  # A slower vehicle has no course.
 # A smaller step is no jump: in turns, velocities and positions of a few hertz differ by some centimetres.
 SMALLEST_JUMP_M: Final = 0.5
@@ -49,14 +50,6 @@ class Segments(NamedTuple):
 
     first: NDArray[np.int64]  # rows of the compared times
     last: NDArray[np.int64]
-    steps: int  # following segments that one overlaps with: the least block of `series.paired_ratio`
-
-
-class Drift(NamedTuple):
-    """Change of a filter's position error over each segment, shape (..., m); NaN where unknown."""
-
-    horizontal_m: Floats  # length of the change
-    down_m: Floats  # with its sign
 
 
 class CourseErrors(NamedTuple):
@@ -80,26 +73,27 @@ def distance_segments(time_ns: TimeNs, travelled: Floats, length: float = SEGMEN
     # The rest at the end of the dive is no segment; the last segment may be short by rounding.
     first = first[travelled[first] + length <= travelled[-1:] + ROUNDING * length]
     if not len(first):
-        return Segments(first, first, 1)
+        return Segments(first, first)
     end = travelled[first] + length
     after = np.minimum(np.searchsorted(travelled, end), len(travelled) - 1)
     last = np.where(travelled[after] - end > end - travelled[after - 1], after - 1, after)
     whole = np.abs(travelled[last] - travelled[first] - length) <= ABOUT * length
-    first, last = first[whole], last[whole]
-    # Segments in which the vehicle stops hold many more.
-    inside = np.searchsorted(first, last) - np.arange(len(first))
-    steps = max(1, int(np.ceil(np.median(inside)))) if len(first) else 1
-    return Segments(first, last, steps)
+    return Segments(first[whole], last[whole])
 
 
-def segment_drift(errors: ReferenceErrors | DrawnErrors, segments: Segments) -> Drift:
-    """Return the change of the position error over each segment, without corrections of the position."""
+def segment_change(errors: ReferenceErrors, segments: Segments) -> Floats:
+    """Return the change of the position error over each segment, without corrections, (m, 3), NED; NaN if unknown."""
     drifting_ned_m = errors.drifting_ned_m
-    change_ned_m = drifting_ned_m[..., segments.last, :] - drifting_ned_m[..., segments.first, :]
-    return Drift(np.hypot(change_ned_m[..., 0], change_ned_m[..., 1]), change_ned_m[..., 2])
+    change_ned_m: Floats = drifting_ned_m[segments.last] - drifting_ned_m[segments.first]
+    return change_ned_m
 
 
-def course_errors(errors: ReferenceErrors | DrawnErrors, reference: ReferenceColumns) -> CourseErrors:
+def _drift_m(errors: ReferenceErrors, segments: Segments) -> Floats:
+    change_ned_m = segment_change(errors, segments)
+    return np.asarray(np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]))
+
+
+def course_errors(errors: ReferenceErrors, reference: ReferenceColumns) -> CourseErrors:
     """Turn the horizontal velocity error to the reference's course over ground."""
     velocity_n = reference.velocity_n[np.searchsorted(reference.time_ns, errors.time_ns), :2]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -117,6 +111,7 @@ def drift_table(
     reference: ReferenceColumns,
     start_ns: int,  # origin of the times of the worst error
     *,
+    lost_m: float = 10.0,  # error above which a vehicle counts as lost
     bridged_gaps: bool = False,  # the filters went through long gaps of the IMU
 ) -> list[DriftRow]:
     """Return median, 95th percentile, rms and largest error of each filter.
@@ -133,7 +128,7 @@ def drift_table(
             sizes[name] = {
                 "position_h": (position_m, time_ns, time_ns),
                 **{
-                    quantity: (segment_drift(found, chosen).horizontal_m, time_ns[chosen.first], time_ns[chosen.last])
+                    quantity: (_drift_m(found, chosen), time_ns[chosen.first], time_ns[chosen.last])
                     for quantity, chosen in segments_of.items()
                 },
                 "velocity_along": (np.abs(course.along_mps), time_ns, time_ns),
@@ -145,6 +140,7 @@ def drift_table(
         if not ever or (bridged_gaps and not quantity.startswith("velocity")):
             continue
         size, from_ns, to_ns = sizes[name][quantity]
+        time_ns = errors[name].time_ns
         known, travelled_m = np.flatnonzero(np.isfinite(size)), errors[name].distance_m
         numbers: dict[str, float] = dict.fromkeys(DriftRow.__struct_fields__[5:], np.nan)
         if len(known):
@@ -159,10 +155,24 @@ def drift_table(
             )
             numbers["worst_from_s"] = (int(from_ns[worst]) - start_ns) / NS_PER_S
             numbers["worst_to_s"] = (int(to_ns[worst]) - start_ns) / NS_PER_S
-            if quantity == "position_h" and travelled_m >= SHORTEST_M:
-                numbers["final_of_distance_pct"] = 100.0 * numbers["final"] / travelled_m
+            if quantity == "position_h":
+                numbers |= _of_position(size[known], time_ns[known], start_ns, lost_m)
+                if travelled_m >= SHORTEST_M:
+                    numbers["final_of_distance_pct"] = 100.0 * numbers["final"] / travelled_m
         rows.append(DriftRow(log=log, filter=name, quantity=quantity, unit=unit, samples=len(known), **numbers))
     return rows
+
+
+def _of_position(error_m: Floats, time_ns: TimeNs, start_ns: int, lost_m: float) -> dict[str, float]:
+    """Return 2DRMS, the final error for each hour of a long dive, and the share of the time in which it is lost."""
+    hours = (int(time_ns[-1]) - start_ns) / NS_PER_S / SECONDS_PER_HOUR
+    with np.errstate(over="ignore"):
+        two_drms_m = 2.0 * float(np.sqrt(np.mean(error_m**2)))
+    return {
+        "two_drms": two_drms_m,
+        "per_hour": float(error_m[-1]) / hours if hours >= 1.0 else np.nan,
+        "lost_pct": 100.0 * float(np.mean(error_m > lost_m)),
+    }
 
 
 # --- The scale, the turn and the start that would align a filter's track with the reference's.

@@ -11,9 +11,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs
+from insdvl_replay.core.dive_columns import Dive, Floats, ReferenceColumns, TimeNs, seconds
+from insdvl_replay.core.dive_record import ReferenceDelay
 from insdvl_replay.core.history import History
-from insdvl_replay.core.quantities import TRACK
+from insdvl_replay.core.quantities import DRAWN_HEADING, TRACK
+from insdvl_replay.core.states import POSITION
 from insdvl_replay.core.tables import JumpRow, ReferenceErrorRow, Tables, finite
 from insdvl_replay.core.words import ReferenceStatus
 from insdvl_replay.evaluation.consistency import consistency_table
@@ -27,13 +29,17 @@ from insdvl_replay.evaluation.convergence import (
 from insdvl_replay.evaluation.credibility import credibility_table, state_errors
 from insdvl_replay.evaluation.drift import drift_table, track_fit_table
 from insdvl_replay.evaluation.evidence import (
+    HEADING_FREE,
+    ErrorSeries,
     Measured,
     ReferenceNoise,
+    Series,
     accuracy_errors,
-    accuracy_pair,
+    covered_errors,
     evidence_table,
     held_out_errors,
     held_out_track,
+    settling_times,
 )
 from insdvl_replay.evaluation.outage_test import (
     OutageCurve,
@@ -42,9 +48,12 @@ from insdvl_replay.evaluation.outage_test import (
     outage_test_table,
     window_drifts,
 )
+from insdvl_replay.evaluation.prediction import Score, crps, prediction_of
 from insdvl_replay.evaluation.reference_errors import (
+    WELL_COVERED,
     DrawnErrors,
     ReferenceErrors,
+    covered_share,
     reference_error_table,
     reference_errors,
     run_from_start,
@@ -52,6 +61,7 @@ from insdvl_replay.evaluation.reference_errors import (
 
 # At most this number of P (23 MB) is kept for the evaluation of errors; a longer dive is evaluated at fewer times.
 MOST_COVARIANCES: Final = 20_000
+FEWEST_ROWS: Final = 3  # of a reference whose acceleration is known
 
 
 def evaluated_times(reference: ReferenceColumns | None, start_ns: int, end_ns: int, *, filters: int) -> TimeNs:
@@ -77,8 +87,11 @@ def tables_of_filters(
     sensor_sd: Mapping[str, Floats],  # (s,), noise of one reading of each sensor that may be held out
     jumps: list[JumpRow],  # from `drift.jump_table`
     *,
+    turned: tuple[History, ...] = (),  # of those that depend on the heading at the start, from a drawn one
     start_ns: int,
     bridged_gaps: bool,  # the filters went through long gaps of the IMU
+    independent: bool,  # the reference shares no sensors with the filters
+    lost_m: float,  # position error above which a vehicle counts as lost
 ) -> tuple[dict[str, ReferenceErrors], Tables]:
     """Compare the filters with the reference and with each other; return their errors by filter, too."""
     log, reference, (baseline, *candidates) = dive.name, dive.reference, histories
@@ -86,34 +99,45 @@ def tables_of_filters(
     # Others than the built-in filters are compared from the dive's own start.
     run_here = {history.filter for history in spread}
     others = (baseline, *(history for history in candidates if history.filter not in run_here))
-    errors, in_states, drift, fits, accuracy = {}, {}, [], [], {}
+    errors, in_states, drift, fits = {}, {}, [], []
     if reference is not None:
         for history in histories:
             errors[history.filter] = reference_errors(history, reference, baseline)
             in_states[history.filter] = state_errors(history, reference, dive.truth).after(start_ns)
-        drift = drift_table(log, errors, reference, start_ns, bridged_gaps=bridged_gaps)
+        drift = drift_table(log, errors, reference, start_ns, lost_m=lost_m, bridged_gaps=bridged_gaps)
         fits = [] if bridged_gaps else track_fit_table(log, errors, reference)
-        before = accuracy_errors(drawn[0], reference, noise, bridged_gaps=bridged_gaps)
-        for history, found in zip(candidates, drawn[1:], strict=True):
-            accuracy[found.filter] = (
-                accuracy_pair(
-                    drawn[0], found, reference, noise, bridged_gaps=bridged_gaps, given_heading=history.is_turned
-                )
-                if history.has_own_start
-                else (before, accuracy_errors(found, reference, noise, bridged_gaps=bridged_gaps))
-            )
     convergence = {found.filter: measured_convergences(drawn[0], found) for found in drawn[1:]}
     reference_error = reference_error_table(log, histories, errors, bridged_gaps=bridged_gaps)
     consistency = consistency_table(log, histories, sensor_sd)
     credibility = credibility_table(log, names, in_states)
-    held_out = held_out_errors(baseline, sensor_sd)
+    held_out = {history.filter: held_out_errors(history, sensor_sd) for history in histories}
+    held_out_tracks = {history.filter: held_out_track(history, sensor_sd) for history in histories}
+    settled_s = settling_times(baseline, errors[baseline.filter].time_ns) if errors else {}
+    in_time = accuracy_series(histories, errors, reference, noise, settled_s, bridged_gaps=bridged_gaps)
+    tracks = track_series(histories, errors, noise, bridged_gaps=bridged_gaps)
+    is_compared = any("position" in found for found in tracks.values())
+    track_pairs = pairs_of(baseline, candidates, {name: held_out_tracks[name] | tracks[name] for name in names})
+    for name, pair in turned_pairs(turned, reference, noise, sensor_sd, bridged_gaps=bridged_gaps).items():
+        before, after = track_pairs[name]
+        track_pairs[name] = {**before, **pair[0]}, {**after, **pair[1]}
     measured = Measured(
-        accuracy=accuracy,
+        accuracy=pairs_of(baseline, candidates, in_time),
         outage=_outage_pairs(names, outages, user_outages),
+        held_out=pairs_of(baseline, candidates, held_out),
+        track=track_pairs,
+        ends={history.filter: _ends(history, reference_error) for history in candidates if not history.is_turned},
         convergence=convergence,
-        held_out={history.filter: (held_out, held_out_errors(history, sensor_sd)) for history in candidates},
-        track={history.filter: _track(baseline, history, reference_error) for history in candidates},
+        prediction=predictions(histories, outages, user_outages, settled_s),
+        crps={
+            history.filter: (position_crps(baseline, errors), position_crps(history, errors))
+            for history in candidates
+            if history.estimates_position and baseline.estimates_position and history.filter in errors
+        },
+        drawn=max((len(found.error) for found in drawn), default=0),
         partial=[history.filter for history in candidates if history.is_partial],
+        late_mps=late_mps(dive.reference, dive.reference_delay),
+        # Held-out fixes are independent of the filters.
+        independent=independent or not is_compared,
     )
     user_outage_rows = [
         row for name, runs in user_outages.items() for row in outage_test_table(log, runs) if row.filter == name
@@ -132,35 +156,151 @@ def tables_of_filters(
     )
 
 
+def accuracy_series(
+    histories: Sequence[History],  # the first is the baseline
+    errors: Mapping[str, ReferenceErrors],  # by filter
+    reference: ReferenceColumns | None,
+    noise: ReferenceNoise,
+    settled_s: Mapping[str, float],  # by quantity
+    *,
+    bridged_gaps: bool,
+) -> dict[str, Series]:
+    """Return the errors of each filter from the start that the dive had, by filter; empty without a reference."""
+    baseline = histories[0]
+    if reference is None or not len(errors[baseline.filter].time_ns):
+        return {history.filter: {} for history in histories}
+    start_ns, end_ns = int(baseline.time_ns[0]), int(baseline.time_ns[-1])
+    found = dict[str, Series]()
+    for history in histories:
+        own = errors[history.filter]
+        covered = covered_errors(own, start_ns, end_ns) if history is baseline else own
+        with np.errstate(over="ignore", invalid="ignore"):
+            series = accuracy_errors(covered, reference, noise, settled_s, start_ns=start_ns, bridged_gaps=bridged_gaps)
+        # A solution that was turned to the baseline's heading says nothing of it.
+        found[history.filter] = {
+            name: one for name, one in series.items() if name in HEADING_FREE or not history.is_turned
+        }
+    return found
+
+
+def track_series(
+    histories: Sequence[History],  # the first is the baseline
+    errors: Mapping[str, ReferenceErrors],  # by filter
+    noise: ReferenceNoise,
+    *,
+    bridged_gaps: bool,
+) -> dict[str, dict[str, ErrorSeries]]:
+    """Return the errors of each filter's position and depth over the whole dive, by filter.
+
+    Empty where the reference covers too little, or the position was lost in a gap of the IMU.
+    """
+    found: dict[str, dict[str, ErrorSeries]] = {history.filter: {} for history in histories}
+    baseline = histories[0]
+    if baseline.filter not in errors or not len(errors[baseline.filter].time_ns) or bridged_gaps:
+        return found
+    time_ns = errors[baseline.filter].time_ns
+    for quantity, axes in (("position", [0, 1]), ("depth", [2])):
+        known = np.asarray(np.isfinite(errors[baseline.filter].position_error_ned_m[:, axes]).all(axis=1))
+        if covered_share(time_ns, known, int(baseline.time_ns[0]), int(baseline.time_ns[-1])) < WELL_COVERED:
+            continue
+        for history in histories:
+            if not history.is_turned:
+                error_m = errors[history.filter].position_error_ned_m[:, axes]
+                noise_m = math.sqrt(len(axes)) * noise.position_m
+                found[history.filter][quantity] = ErrorSeries("m", error_m, noise_m)
+    return found
+
+
+def turned_pairs(
+    turned: Sequence[History],  # the first is the baseline
+    reference: ReferenceColumns | None,
+    noise: ReferenceNoise,
+    sensor_sd: Mapping[str, Floats],
+    *,
+    bridged_gaps: bool,
+) -> dict[str, tuple[Series, Series]]:
+    """Pair the positions of the baseline and of each candidate from a drawn heading, by candidate."""
+    if len(turned) < 2 or reference is None:
+        return {}
+    errors = {history.filter: reference_errors(history, reference, turned[0]) for history in turned}
+    tracks = track_series(turned, errors, noise, bridged_gaps=bridged_gaps)
+    found: dict[str, Series] = {}
+    for history in turned:
+        series = held_out_track(history, sensor_sd) | tracks[history.filter]
+        found[history.filter] = {DRAWN_HEADING: series["position"]} if "position" in series else {}
+    return pairs_of(turned[0], turned[1:], found)
+
+
+def late_mps(reference: ReferenceColumns | None, delay: ReferenceDelay | None) -> float | None:
+    """Return the velocity by which a late reference is off: rms acceleration times delay; None where unknown."""
+    if reference is None or delay is None or not delay.is_checked:
+        return None
+    moving = reference.known["velocities"]
+    if np.count_nonzero(moving) < FEWEST_ROWS:
+        return None
+    time_s = seconds(reference.time_ns[moving], reference.time_ns[moving][0])
+    acceleration_n = np.gradient(reference.velocity_n[moving], time_s, axis=0)
+    size_mps2 = math.sqrt(float(np.mean(np.sum(acceleration_n[:, :2] ** 2, axis=1))))
+    return size_mps2 * abs(finite(delay.delay_s))
+
+
+def predictions(
+    histories: Sequence[History],  # the first is the baseline
+    outages: OutageRuns,
+    user_outages: Mapping[str, OutageRuns],
+    settled_s: Mapping[str, float],
+) -> dict[str, Score]:
+    """Compare how each candidate and the baseline predict the DVL, by candidate."""
+    baseline, *candidates = histories
+    found = {}
+    for history in candidates:
+        runs = user_outages.get(history.filter, outages)
+        score = prediction_of(baseline, history, runs, settled_s.get("velocity_along", 0.0))
+        if score is not None:
+            found[history.filter] = score
+    return found
+
+
+def position_crps(history: History, errors: Mapping[str, ReferenceErrors]) -> float:
+    """Return the mean CRPS of a filter's horizontal position, m."""
+    own = errors[history.filter]
+    rows = np.searchsorted(history.time_ns, own.time_ns)
+    return crps(own.position_error_ned_m[:, :2], history.sd[rows][:, POSITION][:, :2])
+
+
+def pairs_of(
+    baseline: History, candidates: Iterable[History], series: Mapping[str, Series]
+) -> dict[str, tuple[Series, Series]]:
+    """Pair the errors of the baseline and of each candidate, by candidate."""
+    return {history.filter: (series[baseline.filter], series[history.filter]) for history in candidates}
+
+
 def _outage_pairs(
     names: Sequence[str], outages: OutageRuns, user_outages: Mapping[str, OutageRuns]
-) -> dict[str, tuple[Mapping[str, Floats], Mapping[str, Floats]]]:
+) -> dict[str, tuple[Series, Series]]:
     """Return the drifts of the baseline and of each candidate in the same windows, by candidate."""
     baseline, *candidates = names
-    pairs: dict[str, tuple[Mapping[str, Floats], Mapping[str, Floats]]] = {}
+    pairs: dict[str, tuple[Series, Series]] = {}
     for name in candidates:
         drifts = window_drifts(user_outages.get(name, outages))
         if name in drifts:
-            pairs[name] = drifts[baseline], drifts[name]
+            before, after = (
+                {f"outage_{window}": ErrorSeries("m", drift_m) for window, drift_m in drifts[one].items()}
+                for one in (baseline, name)
+            )
+            pairs[name] = before, after
     return pairs
 
 
-def _track(baseline: History, candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:
-    """Return the errors of both tracks, by the reference where it covers the dive, else by held-out fixes and depths.
-
-    A candidate with its own start has none, since only the baseline starts with the heading of the reference.
-    """
-    if candidate.has_own_start:
-        return {}
+def _ends(candidate: History, rows: Sequence[ReferenceErrorRow]) -> dict[str, tuple[float, float]]:
+    """Return the errors of both tracks at the end and in percent of the distance, where the reference covers it."""
     compared = [row for row in rows if row.filter == candidate.filter and row.status == ReferenceStatus.COMPARED]
-    known, found = {row.quantity: row for row in compared}, {}
-    tracks = [held_out_track(history) for history in (baseline, candidate)]
+    known = {row.quantity: row for row in compared}
+    found = {}
     for quantity, (_, name, column) in TRACK.items():
         if name in known:
             before, after = (getattr(known[name], key) for key in (f"baseline_{column}", column))
             found[quantity] = abs(finite(before)), abs(finite(after))
-        elif all(quantity in track for track in tracks):
-            found[quantity] = tracks[0][quantity], tracks[1][quantity]
     return found
 
 

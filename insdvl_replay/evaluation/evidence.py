@@ -1,81 +1,77 @@
-"""The evidence on each candidate: measured values, the ratio with its interval, and a verdict
-(`series.verdict_of_interval`).
+"""The evidence on each candidate on one dive: two values of the same run, their ratio, and how far the candidate acts.
 
-Both filters run on the same dive, so all errors are paired. *Accuracy* is against the reference, from the same drawn
-starts. *Outage* is the drift without the DVL. *Held_out* is the difference from sensors that no filter gets.
-*Convergence* is from random starts. *Track* is the error of the whole dive. *Consistency* compares NIS and NEES, and
-never counts for better or worse. Positions are compared by their drift: the error itself is one number, which the
-heading at the start determines.
+Both filters run on the same dive from the same start, so all errors are paired. *Accuracy* is against the reference,
+after the filters have settled. *Track* is the error of the whole dive, once more from a drawn heading where only the
+reference gave the heading at the start. *Outage* is the drift without the DVL.
+*Held_out* is the difference from sensors that no filter gets. *Prediction* is how well a filter predicts the DVL.
+*Convergence* is from drawn starts. *Consistency*
+compares NIS and NEES, and never counts for better or worse. A ratio of one dive has no verdict: `answers` gives it
+over dives.
+
+How far a candidate acts is a proof: the error of the candidate is that of the baseline plus the difference of the two
+runs, so by the triangle inequality the ratio of their root mean squares differs from 1 by at most the root mean square
+of the difference over that of the baseline's error.
 """
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from insdvl_replay.core.dive_columns import Floats, ReferenceColumns
+from insdvl_replay.core.dive_columns import Floats, ReferenceColumns, TimeNs, seconds
 from insdvl_replay.core.history import History, Innovations
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
     CONSISTENCY,
     CONVERGED,
+    DRAWN_HEADING,
     HELD_OUT,
+    PREDICTION,
+    PRIMARIES,
+    SECONDARIES,
     TRACK,
     VERDICTS_BEST_FIRST,
     is_used,
 )
-from insdvl_replay.core.states import DEG, PHI
+from insdvl_replay.core.states import DEG, DV, PHI
 from insdvl_replay.core.tables import ConsistencyRow, CredibilityRow, EvidenceRow, Number, finite
-from insdvl_replay.core.words import Consistency, EvidenceVerdict
+from insdvl_replay.core.words import Consistency, Role
 from insdvl_replay.evaluation.convergence import MeasuredConvergence
 from insdvl_replay.evaluation.drift import (
     STEP_S,
     course_errors,
     distance_segments,
-    segment_drift,
+    segment_change,
     time_segments,
 )
+from insdvl_replay.evaluation.prediction import Score
 from insdvl_replay.evaluation.reference_errors import (
     WELL_COVERED,
-    DrawnErrors,
+    ReferenceErrors,
     covered_share,
     reference_distance_m,
-    where_known,
 )
-from insdvl_replay.evaluation.series import (
-    FEWEST_EFFECTIVE,
-    NO_INTERVAL,
-    STRETCHES,
-    RatioInterval,
-    paired_ratio,
-    thinned,
-    verdict_of_interval,
-    windows_ratio,
-)
+from insdvl_replay.evaluation.series import thinned
 from insdvl_replay.geometry.frames import north_east_down_m
 
 SEGMENTS_S: Final = (30.0, 60.0)
 DRIFTS: Final = ("drift_30s", "drift_60s", "drift_100m")
 # Quantities that a wrong heading changes only to second order.
 HEADING_FREE: Final = ("velocity_along", "depth_60s")
-OF_STARTS: Final = ("level", "heading")  # Quantities that need random starts.
-# With fewer, level and heading are no evidence, since each start is one sample. Nor is a prediction confirmed: most of
-# it is the decay of errors of the start.
-FEWEST_STARTS: Final = 8
-# A smaller difference of convergence does not decide: its interval is over starts, and a dive has one sensor error.
-SOONER: Final = 0.25
-NOISE_OF_REFERENCE: Final = "mostly noise of the reference"
-# Share of the reference's noise in a root mean square, above which equivalence is not decided.
-NOISY: Final = 0.4
-NOTABLY: Final = 1.1  # A mean NIS or NEES nearer to its degrees of freedom by less is as consistent.
+SETTLED: Final = 1.2  # A sigma has settled once it stays below this many times the last one.
+MOST_LEFT_OUT: Final = 0.5  # share of a dive, at most, that is left out until the sigma has settled
+# Squared errors of the baseline beyond the noise of the reference count for at least this share of all.
+LEAST_OWN_SHARE: Final = 0.1
+FEWEST_WINDOWS: Final = 2  # of an outage row that may decide
 ALONG: Final = {"depth": [2], "position": [0, 1]}  # Sensors that measure the position, with their axes of n.
 
 
-# --- Squared errors against the reference, and against held-out sensors.
+# --- Errors against the reference, and against held-out sensors.
 
 
 class ReferenceNoise(NamedTuple):
@@ -86,92 +82,104 @@ class ReferenceNoise(NamedTuple):
     attitude_deg: float
 
 
-class SquaredErrors(NamedTuple):
-    """Squared errors of one filter in one quantity."""
+class ErrorSeries(NamedTuple):
+    """Errors of one filter in one quantity."""
 
     unit: str
-    squared: Floats  # (s, k), of s starts at k times or segments, in the unit squared
-    least_block: int  # number of neighbours with common data
-    floor: float  # root mean square of the reference's own error
-    own: Floats | None = None  # (k,), from the dive's own start; None where that is the first of the s
-    span_s: tuple[float, float] = (0.0, 0.0)  # first and last time, seconds from the start
+    errors: Floats  # (k, d), d components at k times or of k segments or windows, in the unit; NaN where unknown
+    noise: float = 0.0  # root mean square of the reference's own error, over all components
+    from_s: float = 0.0  # time after the start up to which errors are left out
+
+
+Series = Mapping[str, ErrorSeries]  # by quantity
+Pair = tuple[Series, Series]  # of the baseline and of a candidate
 
 
 def accuracy_errors(
-    drawn: DrawnErrors,
+    errors: ReferenceErrors,
     reference: ReferenceColumns,
     noise: ReferenceNoise,
+    settled_s: Mapping[str, float],  # by quantity, time after the start up to which the baseline settles
     *,
+    start_ns: int,
     bridged_gaps: bool,  # there were long IMU gaps, in which the position is lost
-    covered: DrawnErrors | None = None,  # the runs that the reference must cover, if not these
-) -> dict[str, SquaredErrors]:
-    """Square the errors of one filter, by quantity of `quantities.ACCURACY`, in its order.
-
-    Quantities that the reference covers for less than `reference_errors.WELL_COVERED` of the runs are left out.
-    """
-    time_ns, whole = drawn.time_ns, covered or drawn
-    start_ns = int(whole.time_ns[0] - round(whole.time_s[0] * 1e9)) if len(whole.time_ns) else 0
-    span_s = (float(drawn.time_s[0]), float(drawn.time_s[-1])) if len(drawn.time_s) else (0.0, 0.0)
-
-    def is_covered(columns: Floats) -> bool:
-        known = np.asarray(np.isfinite(columns).all(axis=1))
-        share = covered_share(whole.time_ns, known, start_ns, int(whole.time_ns[-1])) if known.any() else 0.0
-        return share >= WELL_COVERED
-
+) -> dict[str, ErrorSeries]:
+    """Return the errors of one filter against the reference, by quantity of `quantities.ACCURACY`, in its order."""
     found = {}
-    segments_of = {length_s: time_segments(time_ns, length_s) for length_s in SEGMENTS_S}
-    if is_covered(whole.position_error_ned_m[0, :, :2]) and not bridged_gaps:
-        along = distance_segments(time_ns, reference_distance_m(reference, time_ns))
-        for name, segments in zip(DRIFTS, (*segments_of.values(), along), strict=True):
-            drift_m, floor_m = segment_drift(drawn, segments).horizontal_m, 2.0 * noise.position_m  # of both ends
-            found[name] = SquaredErrors("m", drift_m**2, segments.steps, floor_m)
-    if is_covered(whole.velocity_error_n[0, :, :2]):
-        for name, error_mps in course_errors(drawn, reference)._asdict().items():
-            found[f"velocity_{name.removesuffix('_mps')}"] = SquaredErrors("m/s", error_mps**2, 1, noise.velocity_mps)
-    if is_covered(whole.position_error_ned_m[0, :, 2:]) and not bridged_gaps:
-        down_m, floor_m = segment_drift(drawn, segments_of[60.0]).down_m, math.sqrt(2.0) * noise.position_m
-        found["depth_60s"] = SquaredErrors("m", down_m**2, segments_of[60.0].steps, floor_m)
-    if len(drawn.error) >= FEWEST_STARTS and is_covered(whole.error[0, :, PHI]):
-        squared = (drawn.error[:, :, PHI] / DEG) ** 2
-        for quantity, square in zip(OF_STARTS, (squared[..., :2].mean(axis=-1), squared[..., 2]), strict=True):
-            found[quantity] = SquaredErrors("deg", square[1:], 1, noise.attitude_deg, square[0])
-    return {name: errors._replace(span_s=span_s) for name, errors in found.items() if errors.squared.shape[1] > 1}
+    time_ns = errors.time_ns
+    if not bridged_gaps and len(time_ns):
+        travelled_m = reference_distance_m(reference, time_ns)
+        segments_of = [time_segments(time_ns, length_s) for length_s in SEGMENTS_S]
+        segments_of.append(distance_segments(time_ns, travelled_m))
+        for name, segments in zip(DRIFTS, segments_of, strict=True):
+            change_m = segment_change(errors, segments)[:, :2]
+            found[name] = ErrorSeries("m", change_m, 2.0 * noise.position_m)  # of both ends, two axes
+        down_m = segment_change(errors, segments_of[1])[:, 2:]
+        found["depth_60s"] = ErrorSeries("m", down_m, math.sqrt(2.0) * noise.position_m)
+    course = course_errors(errors, reference)
+    attitude_deg = errors.attitude_error_rad / DEG
+    sqrt_half = math.sqrt(0.5)  # level is the root mean square of roll and pitch
+    of_times = {
+        "velocity_along": ("m/s", course.along_mps[:, None], noise.velocity_mps),
+        "velocity_across": ("m/s", course.across_mps[:, None], noise.velocity_mps),
+        "level": ("deg", attitude_deg[:, :2] * sqrt_half, noise.attitude_deg),
+        "heading": ("deg", attitude_deg[:, 2:], noise.attitude_deg),
+    }
+    for name, (unit, values, sd) in of_times.items():
+        from_s = settled_s.get(name, 0.0)
+        kept = seconds(time_ns, start_ns) >= from_s
+        found[name] = ErrorSeries(unit, values[kept], sd, from_s)
+    return {name: series for name, series in found.items() if len(series.errors) > 1}
 
 
-Rows = NDArray[np.int64]
-# Those of the baseline and of a candidate, by quantity.
-Pair = tuple[Mapping[str, SquaredErrors], Mapping[str, SquaredErrors]]
+def covered_errors(errors: ReferenceErrors, start_ns: int, end_ns: int) -> ReferenceErrors:
+    """Return errors of which those are NaN that the reference covers for too little of the replay to stand for it."""
 
+    def kept(columns: Floats) -> Floats:
+        known = np.asarray(np.isfinite(columns).all(axis=1))
+        share = covered_share(errors.time_ns, known, start_ns, end_ns) if known.any() else 0.0
+        return columns if share >= WELL_COVERED else np.full_like(columns, np.nan)
 
-def accuracy_pair(
-    drawn: DrawnErrors,
-    single: DrawnErrors,
-    reference: ReferenceColumns,
-    noise: ReferenceNoise,
-    *,
-    bridged_gaps: bool,
-    given_heading: bool,  # the single run starts with the heading of the reference
-) -> Pair:
-    """Square the errors of a filter, and of a run with its own start, at the times that both have.
-
-    The reference must cover the filter's runs; the single run may be shorter. Level and heading are left out: the
-    filter's errors are from its random starts, and the single run has none.
-    """
-    before, after = (
-        accuracy_errors(errors, reference, noise, bridged_gaps=bridged_gaps, covered=drawn)
-        for errors in (where_known(drawn, single), single)
+    horizontal_m, down_m = kept(errors.drifting_ned_m[:, :2]), kept(errors.drifting_ned_m[:, 2:])
+    return replace(
+        errors,
+        drifting_ned_m=np.hstack([horizontal_m, down_m]),
+        velocity_error_n=kept(errors.velocity_error_n),
+        attitude_error_rad=kept(errors.attitude_error_rad),
     )
-    known = [
-        quantity
-        for quantity in before
-        if (quantity in HEADING_FREE if given_heading else quantity not in OF_STARTS)
-        and np.count_nonzero(np.isfinite(before[quantity].squared[0] + after[quantity].squared[0])) > 1
-    ]
-    return {name: before[name] for name in known}, {name: after[name] for name in known}
 
 
-def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, SquaredErrors]:
-    """Square the differences of a filter and the held-out sensors, by quantity of `quantities.HELD_OUT_QUANTITIES`.
+def settling_times(baseline: History, time_ns: TimeNs) -> dict[str, float]:
+    """Return how long the baseline's predicted sigma takes to settle, seconds after the start, by quantity.
+
+    It has settled once it stays below `SETTLED` times its last value; `MOST_LEFT_OUT` of the dive at most is given.
+    """
+    if not len(time_ns):
+        return {}
+    rows = np.searchsorted(baseline.time_ns, time_ns)
+    variance = baseline.sd[rows] ** 2
+    time_s = seconds(time_ns, int(baseline.time_ns[0]))
+    horizontal_mps = np.sqrt(variance[:, DV][:, :2].sum(axis=1))
+    level, heading = np.sqrt(variance[:, PHI][:, :2].sum(axis=1)), np.sqrt(variance[:, PHI][:, 2])
+    velocity_s = _settled_s(time_s, horizontal_mps)
+    return {
+        "velocity_along": velocity_s,
+        "velocity_across": velocity_s,
+        "level": _settled_s(time_s, level),
+        "heading": _settled_s(time_s, heading),
+    }
+
+
+def _settled_s(time_s: Floats, sigma: Floats) -> float:
+    above = ~(sigma <= SETTLED * sigma[-1])
+    if not above.any() or not np.isfinite(sigma[-1]):
+        return 0.0
+    last = int(np.flatnonzero(above)[-1])
+    return float(min(time_s[min(last + 1, len(time_s) - 1)], MOST_LEFT_OUT * time_s[-1]))
+
+
+def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, ErrorSeries]:
+    """Return the differences of a filter and the held-out sensors, by quantity of `quantities.HELD_OUT_QUANTITIES`.
 
     Position and depth: drift over a minute, between corrections. Heading: the difference itself. The sensor's noise is
     in both differences and makes filters look equal, so readings of a few seconds are averaged. ``noise_sd`` is that of
@@ -181,8 +189,8 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
     for innovations in (met for met in history.innovations if met.is_held_out):
         sensor = innovations.measurement.removeprefix(HELD_OUT)
         if sensor == "heading":
-            squared, sd_deg = (innovations.innovation.T / DEG) ** 2, float(noise_sd[sensor][0]) / DEG
-            found[innovations.measurement] = SquaredErrors("deg", squared, 1, sd_deg)
+            errors_deg, sd_deg = innovations.innovation / DEG, float(noise_sd[sensor][0]) / DEG
+            found[innovations.measurement] = ErrorSeries("deg", errors_deg, sd_deg)
         elif along := ALONG.get(sensor):
             apart_m = innovations.innovation[:, : len(along)]
             if len(history.corrected):
@@ -194,10 +202,12 @@ def held_out_errors(history: History, noise_sd: Mapping[str, Floats]) -> dict[st
             mean_ns = innovations.time_ns[first] + np.asarray(np.add.reduceat(since_ns, first), np.int64) // counts
             segments = time_segments(mean_ns)
             change_m = apart_m[segments.last] - apart_m[segments.first]
-            floor_m = math.sqrt(2.0 * len(along) / float(np.median(counts))) * float(noise_sd[sensor][0])
-            squared = np.sum(change_m**2, axis=1)[None]
-            found[innovations.measurement] = SquaredErrors("m", squared, segments.steps, floor_m)
-    return {quantity: errors for quantity, errors in found.items() if errors.squared.shape[1] > 1}
+            noise_m = math.sqrt(2.0 * len(along) / float(np.median(counts))) * float(noise_sd[sensor][0])
+            found[innovations.measurement] = ErrorSeries("m", change_m, noise_m)
+    return {quantity: errors for quantity, errors in found.items() if len(errors.errors) > 1}
+
+
+Rows = NDArray[np.int64]
 
 
 def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Floats]:
@@ -207,16 +217,54 @@ def _averaged(innovations: Innovations, values: Floats) -> tuple[Rows, Rows, Flo
     return first, counts, np.add.reduceat(values, first) / counts[:, None]
 
 
-def held_out_track(history: History) -> dict[str, float]:
-    """Return the difference of a filter's track from held-out fixes and depths: the rms and the last, m."""
-    found: dict[str, float] = {}
-    for innovations in (met for met in history.innovations if met.is_held_out and len(met.time_ns)):
+def held_out_track(history: History, noise_sd: Mapping[str, Floats]) -> dict[str, ErrorSeries]:
+    """Return the difference of a filter's track from held-out fixes and depths, by quantity of `quantities.TRACK`."""
+    found = {}
+    start_ns, end_ns = int(history.time_ns[0]), int(history.time_ns[-1])
+    for innovations in (met for met in history.innovations if met.is_held_out and len(met.time_ns) > 1):
         sensor = innovations.measurement.removeprefix(HELD_OUT)
-        if along := ALONG.get(sensor):
-            _, _, apart_m = _averaged(innovations, innovations.innovation[:, : len(along)])
-            off_m = np.linalg.norm(apart_m, axis=1)
-            found |= {sensor: float(np.sqrt(np.mean(off_m**2))), f"{sensor}_end": float(off_m[-1])}
+        known = np.asarray(np.isfinite(innovations.innovation).all(axis=1))
+        is_covered = covered_share(innovations.time_ns, known, start_ns, end_ns) >= WELL_COVERED
+        if (along := ALONG.get(sensor)) and is_covered:
+            _, counts, apart_m = _averaged(innovations, innovations.innovation[:, : len(along)])
+            noise_m = math.sqrt(len(along) / float(np.median(counts))) * float(noise_sd[sensor][0])
+            found[sensor] = ErrorSeries("m", apart_m, noise_m)
     return found
+
+
+# --- Two series of errors.
+
+
+class Compared(NamedTuple):
+    """Two filters in one quantity; NaN where it is not known."""
+
+    baseline: float  # root mean squares, in the unit
+    value: float
+    moves: float  # root mean square of the difference
+    acts: float  # the same over the error of the baseline
+    noise_share: float  # of the reference, in the squared error of the baseline
+    samples: int
+
+
+def compared(before: ErrorSeries, after: ErrorSeries) -> Compared:
+    """Compare two filters at the times at which both have an error."""
+    known = ~(np.isnan(before.errors).any(axis=1) | np.isnan(after.errors).any(axis=1))
+    errors, new_errors = before.errors[known], after.errors[known]
+    # The errors of a filter that diverged may overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        baseline, value, moves = (_rms(columns) for columns in (errors, new_errors, new_errors - errors))
+    square, noise_square = baseline**2, before.noise**2
+    share = min(noise_square / square, 1.0) if square > 0.0 else math.nan
+    own = math.sqrt(max(square - noise_square, LEAST_OWN_SHARE * square))
+    acts = 0.0 if moves == 0.0 else moves / own if own > 0.0 else math.nan
+    return Compared(baseline, value, moves, acts, share, int(known.sum()))
+
+
+def _rms(errors: Floats) -> float:
+    """Return the root mean square length of vectors, shape (k, d)."""
+    if not len(errors):
+        return math.nan
+    return math.sqrt(float(np.mean(np.sum(errors**2, axis=1))))
 
 
 # --- The table.
@@ -224,15 +272,22 @@ def held_out_track(history: History) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Measured:
-    """All measured errors of the filters of a dive."""
+    """All measured errors of the filters of a dive, as pairs of the baseline and of each candidate."""
 
     accuracy: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against the reference
-    # by candidate, of the baseline and its own: drifts by window, m
-    outage: Mapping[str, tuple[Mapping[str, Floats], Mapping[str, Floats]]] = field(default_factory=dict)
-    convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(default_factory=dict)  # by candidate, quantity
+    outage: Mapping[str, Pair] = field(default_factory=dict)  # by candidate and window: horizontal drifts
     held_out: Mapping[str, Pair] = field(default_factory=dict)  # by candidate, against held-out sensors
-    track: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)  # by candidate, quantity
+    track: Mapping[str, Pair] = field(default_factory=dict)  # by candidate: errors of position and depth
+    # by candidate and quantity: rows of the track that are not a root mean square of these errors
+    ends: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    convergence: Mapping[str, Mapping[str, MeasuredConvergence]] = field(default_factory=dict)  # by candidate, quantity
+    prediction: Mapping[str, Score] = field(default_factory=dict)  # by candidate
+    crps: Mapping[str, tuple[float, float]] = field(default_factory=dict)  # by candidate: of the position, m
+    drawn: int = 0  # starts behind the convergence
     partial: Collection[str] = ()  # candidates that are compared only in the quantities that they have
+    # Differences of velocities below it are those of a late reference, m/s; None where its delay is not known.
+    late_mps: float | None = 0.0
+    independent: bool = True  # whether the reference, or the held-out fixes, share no sensors with the filters
 
 
 def evidence_table(
@@ -243,127 +298,148 @@ def evidence_table(
     consistency: Sequence[ConsistencyRow],
     credibility: Sequence[CredibilityRow],
 ) -> list[EvidenceRow]:
-    """Return the evidence rows of each candidate; the row that decides first is in front."""
+    """Return the evidence rows of each candidate, those that may decide in front."""
     rows: list[EvidenceRow] = []
     for candidate in candidates:
-        new = partial(_row, log, candidate)
-        rows += _rows_of_squares(partial(new, "accuracy"), measured.accuracy.get(candidate, ({}, {})))
-        baseline_drifts, drifts = measured.outage.get(candidate, ({}, {}))
-        for window, before in baseline_drifts.items():
-            if window in drifts and len(before):
-                interval, values = windows_ratio(before, drifts[window]), (_rms(before**2), _rms(drifts[window] ** 2))
-                why = _why(interval)
-                rows.append(new("outage", f"outage_{window}", "m", values, interval, windows=len(before), why=why))
-        rows += _rows_of_squares(partial(new, "held_out"), measured.held_out.get(candidate, ({}, {})))
-        converged = measured.convergence.get(candidate, {})
-        for quantity, name in CONVERGED.items():
-            if (found := converged.get(name)) is not None:
-                # With other random starts the times may differ, so they are not equivalent either.
-                interval, word = found.interval, verdict_of_interval(found.interval)
-                decisive = (interval.low, interval.high) if word == EvidenceVerdict.EQUIVALENT else (interval.ratio,)
-                near = all(1.0 / (1.0 + SOONER) < ratio < 1.0 + SOONER for ratio in decisive)
-                word = word if near == (word == EvidenceVerdict.EQUIVALENT) else EvidenceVerdict.UNDECIDED
-                values, starts = (found.baseline_s, found.candidate_s), int(interval.effective_samples)
-                rows.append(
-                    new("convergence", f"convergence_{quantity}", "s", values, interval, verdict=word, starts=starts)
-                )
-        for quantity, values in measured.track.get(candidate, {}).items():
-            # One sample, which does not decide alone.
-            ratio = values[1] / values[0] if values[0] > 0.0 else math.nan
-            interval = NO_INTERVAL._replace(ratio=ratio, effective_samples=1.0)
-            rows.append(new("track", quantity, TRACK[quantity][0], values, interval))
+        new = partial(EvidenceRow, log, candidate)
+        rows += _track_rows(new, measured, candidate)
+        rows += _rows_of_pair(new, "outage", measured.outage.get(candidate, ({}, {})))
+        accuracy = _rows_of_pair(new, "accuracy", measured.accuracy.get(candidate, ({}, {})))
+        rows += [_without_late_vote(row, measured.late_mps) for row in accuracy]
+        rows += _rows_of_pair(new, "held_out", measured.held_out.get(candidate, ({}, {})))
+        rows += _prediction_rows(new, measured, candidate)
+        rows += _convergence_rows(new, measured.convergence.get(candidate, {}), measured.drawn)
         is_partial = candidate in measured.partial
-        sizes_of = _consistency_sizes(baseline, candidate, consistency, credibility, is_partial)
-        for quantity, sizes in sizes_of.items():
-            off, now = (
-                max((found for found in sizes if found.filter == name), key=lambda found: found.order, default=None)
-                for name in (baseline, candidate)
-            )
-            if off and now and math.isfinite(off.size) and math.isfinite(now.size):
-                ratio, word = _more_consistent(off, now)
-                interval = NO_INTERVAL._replace(ratio=ratio, effective_samples=math.nan)
-                rows.append(new(CONSISTENCY, quantity, "", (off.size, now.size), interval, verdict=word))
+        rows += _consistency_rows(new, baseline, candidate, consistency, credibility, is_partial)
     return rows
 
 
-def _row(
-    log: str,
-    candidate: str,
-    evidence: str,
-    quantity: str,
-    unit: str,
-    values: tuple[float, float],  # of the baseline and of the candidate
-    interval: RatioInterval,
-    *,
-    verdict: EvidenceVerdict | None = None,  # if not that of the interval
-    starts: int = 1,
-    windows: int = 0,
-    why: str = "",
-) -> EvidenceRow:
-    return EvidenceRow(
-        log=log,
-        filter=candidate,
-        evidence=evidence,
-        quantity=quantity,
-        unit=unit,
-        baseline=values[0],
-        value=values[1],
-        ratio=interval.ratio,
-        low=interval.low,
-        high=interval.high,
-        effective_samples=interval.independent,
-        starts=starts,
-        windows=windows,
-        verdict=verdict or verdict_of_interval(interval),
-        p=None if math.isnan(interval.low) else interval.p,
-        why=why,
-    )
+def _without_late_vote(row: EvidenceRow, late_mps: float | None) -> EvidenceRow:
+    """Take the vote of a velocity where the reference may be late: it is then off by acceleration times delay.
+
+    A filter that trusts late pings lags as the reference does, and would agree more with it.
+    """
+    if not row.quantity.startswith("velocity"):
+        return row
+    if late_mps is not None and finite(row.moves) >= late_mps:
+        return row
+    return msgspec.structs.replace(row, role=Role.SHOWN)
 
 
-def _rows_of_squares(new: Callable[..., EvidenceRow], pair: Pair) -> Iterator[EvidenceRow]:
-    """Compare squared errors; a run with its own start is compared with the baseline's random starts."""
-    shortest: RatioInterval | None = None
+def _ratio(baseline: float, value: float) -> float:
+    if baseline == value and math.isfinite(value):
+        return 1.0
+    return value / baseline if baseline > 0.0 else math.nan
+
+
+def _rows_of_pair(new: Callable[..., EvidenceRow], kind: str, pair: Pair) -> Iterator[EvidenceRow]:
+    """Compare two filters in the quantities that both have."""
     for quantity in (name for name in pair[0] if name in pair[1]):
-        before, after = (errors[quantity] for errors in pair)
-        interval = paired_ratio(before.squared, after.squared, least_block=before.least_block)
-        if quantity.startswith("drift"):
-            # Longer segments spread one stretch over its neighbours, so the shortest segments decide for all.
-            shortest = shortest or interval
-            if shortest.stretch is not None:
-                samples = min(interval.effective_samples, shortest.effective_samples)
-                interval = interval._replace(effective_samples=samples, stretch=shortest.stretch)
-        # A verdict needs errors above the reference's noise; equivalence needs little noise.
-        word, why = verdict_of_interval(interval), _why(interval, before.span_s)
-        noise, largest = before.floor, max(_rms(before.squared), _rms(after.squared))
-        noisy = noise >= largest or (noise > NOISY * largest and word == EvidenceVerdict.EQUIVALENT)
-        if noisy and interval.low < interval.high:
-            why = why or (NOISE_OF_REFERENCE if word != EvidenceVerdict.UNDECIDED else "")
-            word = EvidenceVerdict.UNDECIDED
-        start_sq = [errors.squared[0] if errors.own is None else errors.own for errors in (before, after)]
-        known = np.isfinite(start_sq[0]) & np.isfinite(start_sq[1])
-        values, (starts, windows) = (_rms(start_sq[0][known]), _rms(start_sq[1][known])), before.squared.shape
-        yield new(quantity, before.unit, values, interval, verdict=word, starts=starts, windows=windows, why=why)
+        before, after = pair[0][quantity], pair[1][quantity]
+        found = compared(before, after)
+        if not found.samples:
+            continue
+        yield new(
+            evidence=kind,
+            quantity=quantity,
+            unit=before.unit,
+            baseline=found.baseline,
+            value=found.value,
+            ratio=_ratio(found.baseline, found.value),
+            moves=found.moves,
+            acts=found.acts,
+            reference_noise=found.noise_share,
+            samples=found.samples,
+            from_s=before.from_s or None,
+            role=_role(quantity, found.samples),
+        )
 
 
-def _why(interval: RatioInterval, span_s: tuple[float, float] = (0.0, 0.0)) -> str:
-    """Say why a row does not decide: one stretch holds nearly all errors, or there are too few samples."""
-    if interval.effective_samples >= FEWEST_EFFECTIVE:
-        return ""
-    if interval.stretch is None:
-        return f"fewer than {FEWEST_EFFECTIVE:.0f} effective samples"
-    if span_s[1] <= span_s[0]:
-        return "nearly all error in one stretch"
-    stretch_s = (span_s[1] - span_s[0]) / STRETCHES
-    begun_s = span_s[0] + interval.stretch * stretch_s
-    return f"nearly all error in {begun_s:.0f} to {begun_s + stretch_s:.0f} s"
+def role_alone(quantity: str, windows: int, *, independent: bool) -> Role:
+    """Return what an error of a filter that was replayed alone may do, in another comparison than with a candidate."""
+    return _role(quantity, windows, may_decide=independent or quantity != "position")
 
 
-def _rms(squared: Floats) -> float:
-    known = squared[np.isfinite(squared)]
-    return math.sqrt(float(known.mean())) if known.size else math.nan
+def _role(quantity: str, samples: int, *, may_decide: bool = True) -> Role:
+    """Return what a row of a dive may do."""
+    is_outage = quantity.startswith("outage")
+    if quantity in PRIMARIES and may_decide and not (is_outage and samples < FEWEST_WINDOWS):
+        return Role.PRIMARY
+    if any(quantity in kind for kind in SECONDARIES.values()):
+        return Role.SECONDARY
+    return Role.SHOWN
 
 
-# --- Consistency as evidence; it has no vote.
+def _track_rows(new: Callable[..., EvidenceRow], measured: Measured, candidate: str) -> Iterator[EvidenceRow]:
+    """Compare the tracks of the whole dive. Position decides if what it is compared with is independent."""
+    pair = measured.track.get(candidate, ({}, {}))
+    rows = {row.quantity: row for row in _rows_of_pair(partial(new), "track", pair)}
+    if "position" in rows:
+        role = _role("position", rows["position"].samples, may_decide=measured.independent)
+        rows["position"] = msgspec.structs.replace(rows["position"], role=role)
+    ends = measured.ends.get(candidate, {})
+    for quantity, (unit, _, _) in TRACK.items():
+        if quantity in rows:
+            yield rows[quantity]
+        elif quantity in ends:
+            before, after = ends[quantity]
+            yield new(
+                evidence="track",
+                quantity=quantity,
+                unit=unit,
+                baseline=before,
+                value=after,
+                ratio=_ratio(before, after),
+                samples=1,
+            )
+    if DRAWN_HEADING in rows:
+        yield rows[DRAWN_HEADING]
+
+
+def _prediction_rows(new: Callable[..., EvidenceRow], measured: Measured, candidate: str) -> Iterator[EvidenceRow]:
+    if (score := measured.prediction.get(candidate)) is not None:
+        yield new(
+            evidence=PREDICTION,
+            quantity=PREDICTION,
+            unit="nat",
+            baseline=score.baseline,
+            value=score.value,
+            ratio=score.ratio,
+            samples=score.pings,
+            role=Role.VETO,
+        )
+    if candidate in measured.crps:
+        before, after = measured.crps[candidate]
+        yield new(
+            evidence=PREDICTION,
+            quantity="position_crps",
+            unit="m",
+            baseline=before,
+            value=after,
+            ratio=_ratio(before, after),
+            samples=1,
+        )
+
+
+def _convergence_rows(
+    new: Callable[..., EvidenceRow], converged: Mapping[str, MeasuredConvergence], drawn: int
+) -> Iterator[EvidenceRow]:
+    for quantity, name in CONVERGED.items():
+        if (found := converged.get(name)) is not None:
+            yield new(
+                evidence="convergence",
+                quantity=f"convergence_{quantity}",
+                unit="s",
+                baseline=found.baseline_s,
+                value=found.candidate_s,
+                ratio=found.candidate_s / found.baseline_s,
+                samples=drawn,
+                starts=drawn,
+                role=Role.SETTLING,
+            )
+
+
+# --- Consistency as evidence; it decides nothing.
 
 
 _RANK: Final[Mapping[str, int]] = {word: rank for rank, word in enumerate(VERDICTS_BEST_FIRST)}
@@ -389,11 +465,38 @@ class _Size(NamedTuple):
         return _RANK.get(self.verdict, -1), -1.0 if math.isnan(self.size) else self.size
 
 
-def _consistency_sizes(
+def _consistency_rows(
+    new: Callable[..., EvidenceRow],
     baseline: str,
     candidate: str,
     consistency: Sequence[ConsistencyRow],
     credibility: Sequence[CredibilityRow],
+    is_partial: bool,
+) -> Iterator[EvidenceRow]:
+    """Compare how far NIS and NEES are from what each filter expects; the ratio is that of the distances from 1."""
+    sizes_of = _consistency_sizes(baseline, consistency, credibility, candidate, is_partial)
+    for quantity, sizes in sizes_of.items():
+        before, after = (
+            max((found for found in sizes if found.filter == name), key=lambda found: found.order, default=None)
+            for name in (baseline, candidate)
+        )
+        if before and after and math.isfinite(before.size) and math.isfinite(after.size):
+            off, new_off = (abs(math.log(found.size)) if found.size > 0.0 else math.inf for found in (before, after))
+            yield new(
+                evidence=CONSISTENCY,
+                quantity=quantity,
+                unit="",
+                baseline=before.size,
+                value=after.size,
+                ratio=math.exp(new_off - off) if math.isfinite(off) else math.nan,
+            )
+
+
+def _consistency_sizes(
+    baseline: str,
+    consistency: Sequence[ConsistencyRow],
+    credibility: Sequence[CredibilityRow],
+    candidate: str,
     is_partial: bool,
 ) -> dict[str, list[_Size]]:
     """Return the sizes of all measurements and of all groups of states.
@@ -411,18 +514,3 @@ def _consistency_sizes(
         ],
         "nees": [_Size.of_mean(row, row.mean_nees) for row in credibility if row.quantity in groups],
     }
-
-
-def _more_consistent(before: _Size, after: _Size) -> tuple[float, EvidenceVerdict]:
-    """Compare the distances of the sizes from 1; an overconfident candidate is never more consistent."""
-    off, new_off = (abs(math.log(found.size)) if found.size > 0.0 else math.inf for found in (before, after))
-    ratio, becomes_worse = math.exp(new_off - off), after.order[0] > before.order[0]
-    if Consistency.INSUFFICIENT in (before.verdict, after.verdict):
-        return ratio, EvidenceVerdict.UNDECIDED
-    if before.verdict == after.verdict == Consistency.CONSERVATIVE:
-        return ratio, EvidenceVerdict.EQUIVALENT  # both are better than they predict
-    if ratio < 1.0 / NOTABLY and before.verdict != Consistency.CONSISTENT and not becomes_worse:
-        return ratio, EvidenceVerdict.BETTER
-    if after.verdict != Consistency.CONSISTENT and (ratio > NOTABLY or becomes_worse):
-        return ratio, EvidenceVerdict.WORSE
-    return ratio, EvidenceVerdict.EQUIVALENT

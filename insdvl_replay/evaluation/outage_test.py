@@ -4,6 +4,7 @@ This needs no reference. It does not see heading, scale and a constant turn abou
 share; it measures levels, accelerometer biases, gyro biases through gravity, lever arm, time stamps and noise.
 """
 
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +20,6 @@ from insdvl_replay.core.quantities import OUTAGE_WINDOWS_S
 from insdvl_replay.core.tables import OutageRow, finite
 from insdvl_replay.evaluation.consistency import chi_square_quantile
 from insdvl_replay.evaluation.reference_errors import SHORTEST_M
-from insdvl_replay.evaluation.series import windows_ratio
 
 BURN_IN_S: Final = 100  # No windows while the filters still converge.
 SHORTEST_S: Final = BURN_IN_S + 2 * int(OUTAGE_WINDOWS_S[0])  # of a dive that has the test
@@ -120,6 +120,7 @@ class OutageRun:
     velocity_error_n: Floats  # (k, 3), m/s, predicted minus measured at the DVL; zero at the last used ping
     drift_n: Floats  # (k, 3), m, its integral
     nis: Floats  # (k,), of each held-out ping; NaN at the last used one
+    minus_log_score: Floats  # (k,), nat, of each held-out ping; NaN at the last used one
 
 
 @dataclass(frozen=True)
@@ -135,17 +136,21 @@ def outage_run(history: History) -> OutageRun:
     """Turn the innovations of held-out velocities to n; the first row of the history has none."""
     innovations, *_ = history.innovations
     time_s = seconds(history.time_ns, history.time_ns[0])
-    velocity_error_n, nis = np.zeros((len(time_s), 3)), np.full(len(time_s), np.nan)
+    velocity_error_n = np.zeros((len(time_s), 3))
+    nis, minus_log_score = np.full(len(time_s), np.nan), np.full(len(time_s), np.nan)
     with np.errstate(over="ignore", invalid="ignore"):
         velocity_error_n[1:] = np.einsum("kij,kj->ki", history.mat_nb[1:], innovations.innovation)
         nis[1:] = innovations.nis
-        return OutageRun(time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis)
+        constant = innovations.dof * math.log(2.0 * math.pi)
+        minus_log_score[1:] = 0.5 * (innovations.nis + innovations.log_det + constant)
+        return OutageRun(time_s, velocity_error_n, _integral(time_s, velocity_error_n), nis, minus_log_score)
 
 
 def drift_run(time_ns: TimeNs, velocity_error_n: Floats) -> OutageRun:
     """Integrate errors of the velocity from the last used ping on, whose row is the first and counts as zero."""
     time_s, error_n = seconds(time_ns, time_ns[0]), np.concatenate([np.zeros((1, 3)), velocity_error_n[1:]])
-    return OutageRun(time_s, error_n, _integral(time_s, error_n), np.full(len(time_s), np.nan))
+    unknown = np.full(len(time_s), np.nan)
+    return OutageRun(time_s, error_n, _integral(time_s, error_n), unknown, unknown)
 
 
 def distance_along_m(time_ns: TimeNs, velocity_b: Floats) -> Floats:
@@ -162,6 +167,7 @@ def _integral(time_s: Floats, rate: Floats) -> Floats:
 class WindowEnds(NamedTuple):
     """Errors of a filter at the end of each window of one length, shape (w,)."""
 
+    drift_ne_m: Floats  # (w, 2), north and east
     drift_m: Floats  # horizontal
     down_m: Floats  # absolute
     velocity_mps: Floats  # horizontal error
@@ -175,14 +181,15 @@ def window_ends(outages: OutageRuns, name: str, windows: Windows) -> WindowEnds:
     columns = [(*run.drift_n[step], *run.velocity_error_n[step], run.nis[step]) for run, step in ends]
     north_m, east_m, down_m, north_mps, east_mps, _, nis = np.array(columns, np.float64).reshape(-1, 7).T
     with np.errstate(over="ignore", invalid="ignore"):
-        return WindowEnds(np.hypot(north_m, east_m), np.abs(down_m), np.hypot(north_mps, east_mps), nis)
+        drift_ne_m, end_mps = np.column_stack([north_m, east_m]), np.hypot(north_mps, east_mps)
+        return WindowEnds(drift_ne_m, np.hypot(north_m, east_m), np.abs(down_m), end_mps, nis)
 
 
 def window_drifts(outages: OutageRuns) -> dict[str, dict[str, Floats]]:
-    """Return the horizontal drift in each window that does not overlap, by filter and length, m."""
+    """Return the drift, (w, 2) north and east, in each window that does not overlap, by filter and length, m."""
     return {
         name: {
-            f"{windows.window_s}s": window_ends(outages, name, windows).drift_m for windows in outages.plan.by_length
+            f"{windows.window_s}s": window_ends(outages, name, windows).drift_ne_m for windows in outages.plan.by_length
         }
         for name in outages.runs
     }
@@ -228,16 +235,16 @@ def outage_test_table(log: str, outages: OutageRuns) -> list[OutageRow]:
     for windows in outages.plan.by_length:
         count = len(windows.first)
         distance_m = outages.distance_m[windows.last] - outages.distance_m[windows.first]
-        moved, baseline_m = distance_m >= SHORTEST_M, np.empty(0)
+        moved, baseline_m, baseline_rms_m = distance_m >= SHORTEST_M, np.empty(0), NAN
         for i, name in enumerate(outages.runs):
-            ends, against = window_ends(outages, name, windows), (NAN, NAN, NAN, NAN)
+            ends, against = window_ends(outages, name, windows), (NAN, NAN)
             drift_m, baseline_m = ends.drift_m, baseline_m if i else ends.drift_m
             with np.errstate(over="ignore", invalid="ignore"):
-                if i and count > 1 and np.isfinite([baseline_m, drift_m]).all():
-                    interval = windows_ratio(baseline_m, drift_m)
-                    won_pct = 50.0 * float(np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m))
-                    against = interval.ratio, interval.low, interval.high, won_pct
                 rms_m = float(np.sqrt(np.mean(drift_m**2))) if count else NAN
+                baseline_rms_m = baseline_rms_m if i else rms_m
+                if i and count > 1 and np.isfinite([baseline_m, drift_m]).all():
+                    won_pct = 50.0 * float(np.mean(drift_m < baseline_m) + np.mean(drift_m <= baseline_m))
+                    against = rms_m / baseline_rms_m if baseline_rms_m > 0.0 else NAN, won_pct
                 row = OutageRow(
                     *(log, name, str(windows.window_s), count, windows.left_out),
                     *(quantile(drift_m, 0.5), rms_m, quantile(drift_m, 0.95)),

@@ -241,18 +241,6 @@ def drawn_errors(runs: Sequence[DrawnErrors], *, own_sd: bool = True) -> DrawnEr
     return replace(runs[0], sd=runs[0 if own_sd or len(runs) < 2 else 1].sd, **columns)
 
 
-def where_known(drawn: DrawnErrors, single: DrawnErrors) -> DrawnErrors:
-    """Return a filter's runs, NaN where a single run has no numbers at the same time."""
-    located = np.isfinite(single.position_error_ned_m)
-    return replace(
-        drawn,
-        position_error_ned_m=np.where(located, drawn.position_error_ned_m, np.nan),
-        velocity_error_n=np.where(np.isfinite(single.velocity_error_n), drawn.velocity_error_n, np.nan),
-        error=np.where(np.isfinite(single.error), drawn.error, np.nan),
-        drifting_ned_m=np.where(located, drawn.drifting_ned_m, np.nan),
-    )
-
-
 def squared_errors(drawn: DrawnErrors) -> dict[str, Floats]:
     """Square the errors whose convergence is measured, by quantity, shape (s, k), SI units, if they are ever known.
 

@@ -1,10 +1,13 @@
 """The verdict on a candidate: its evidence, whether its predicted improvement is confirmed, and the sentences.
 
 A sentence has three parts: what was measured, the predicted improvement, and the consistency of both filters.
-Filters that diverged or are misconfigured are not evaluated. No candidate of such a baseline is evaluated either.
+Filters that diverged or are misconfigured are not evaluated. No candidate of such a baseline is evaluated either. A
+filter of the user's whose answers differ from run to run is not repeatable.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -16,41 +19,27 @@ from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.quantities import (
     ALL_CREDIBILITY_GROUPS,
-    CONSISTENCY,
     IS_REFERENCE,
     VERDICTS_BEST_FIRST,
+    WITHOUT_VERDICT,
     is_beam,
     is_used,
 )
-from insdvl_replay.core.states import DVL_AIDING, NINE
+from insdvl_replay.core.states import DVL_AIDING
 from insdvl_replay.core.tables import (
     CandidateVerdict,
     ConsistencyRow,
     CredibilityRow,
-    EvidenceRow,
     Tables,
     finite,
 )
-from insdvl_replay.core.words import Consistency, EvidenceVerdict, Prediction, ReferenceStatus, Severity, Verdict
-from insdvl_replay.evaluation.answers import (
-    AGAINST,
-    DECIDED,
-    NOTABLE_PCT,
-    changed,
-    interval_in_words,
-    left_undecided,
-    median_of,
-    most_starts,
-    on_prediction,
-    prediction_of,
-    spoken_of,
-    verdict_of,
-    would_settle,
-)
+from insdvl_replay.core.words import Consistency, ReferenceStatus, Role, Severity
+from insdvl_replay.evaluation.answers import median_of, pooled_candidate, primary_of
 from insdvl_replay.evaluation.consistency import MANY_REJECTED, rejected
 from insdvl_replay.evaluation.convergence import mean_over_nine, nearest_over_nine, unchanged_over_nine
 from insdvl_replay.evaluation.outage_test import OUTAGE, outage_alarm
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
+from insdvl_replay.evaluation.sentences import paragraph
 
 # Quantities whose median change summarises the error against the reference.
 COMPARED: Final = ("velocity_n", "velocity_e", "velocity_d", "roll", "pitch", "heading", "position_h")
@@ -59,6 +48,7 @@ MANY_REOPENED: Final = 0.01  # Share of the pings; each comes after several that
 FEW: Final = 2  # Up to this number of rejections prove nothing, even in a short dive.
 # Innovations three times as large as predicted come from wrong axes, units or clocks.
 LARGEST_NIS_PER_DOF: Final = 10.0
+SMALLEST_NIS_PER_DOF: Final = 0.1  # With noise that is ten times too large a filter is not the one that was tuned.
 # Percent of the distance, with the DVL available. Dead reckoning by a DVL without an INS drifts less.
 FARTHEST_PCT: Final = 20.0
 # Notes on columns of a dive that contradict each other.
@@ -67,8 +57,6 @@ CONTRADICTIONS: Final = (
     "imu_upside_down", "reference_contradiction", "start_heading_contradiction", "track_contradiction",
 )  # fmt: skip
 SHARED: Final = "The reference shares sensors with the filters, so common errors cannot be seen."
-SETTLE: Final = ". Settle this first"
-TOO_LARGE: Final = "innovations far too large"
 
 
 # --- Verdicts over several rows.
@@ -111,7 +99,7 @@ def not_evaluated(
     are far too large. A candidate whose own innovations are far too large is worse or not evaluated.
     """
     # Errors against the reference mean nothing for filters that are aided by the reference's own readings. Depth is an
-    # exception: it has no vote, and the rest of the reference is still valid.
+    # exception: it neither decides nor warns, and the rest of the reference is still valid.
     shared = {note.code.removesuffix(IS_REFERENCE) for note in notes if note.code.endswith(IS_REFERENCE)}
     invalid, suspect = dict[str, str](), dict[str, str]()
     for history in histories:
@@ -127,24 +115,15 @@ def not_evaluated(
     invalid |= diverged_filters(histories)
     contradicted = "; ".join(note.text for note in notes if note.code in CONTRADICTIONS and note.severity == "warning")
     baseline, *candidates = (history.filter for history in histories)
+    unusable = contradicted or misfit(baseline, tables.consistency)
     unsound = {}
     for candidate in candidates:
         pair = baseline, candidate
         wrong = [invalid[name] for name in pair if name in invalid]
         wrong += [suspect[name] for name in pair] if suspect.keys() >= set(pair) else []
-        left = nothing_better(row for row in tables.evidence if row.filter == candidate)
-        too_large = "" if verdict_of(left) == Verdict.WORSE else surprised(candidate, tables.consistency)
-        if reason := contradicted or " and ".join(wrong) or too_large:
+        if reason := " and ".join(wrong) or unusable or misread(candidate, tables.consistency):
             unsound[candidate] = reason
     return unsound
-
-
-def nothing_better(rows: Iterable[EvidenceRow]) -> list[EvidenceRow]:
-    """Replace the verdict *better* by *undecided*, for a filter whose innovations are far too large."""
-    return [
-        replace(row, verdict=EvidenceVerdict.UNDECIDED, why=TOO_LARGE) if row.verdict == EvidenceVerdict.BETTER else row
-        for row in rows
-    ]
 
 
 def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
@@ -181,6 +160,33 @@ def diverged_filters(histories: tuple[History, ...]) -> dict[str, str]:
                 # The filter diverges again and again, and is reset each time.
                 found[name] = f"{name} diverged and was set to the DVL again {reopened} times in {total} {measurement}"
     return found
+
+
+def misfit(name: str, rows: Sequence[ConsistencyRow]) -> str:
+    """Say that the noise of a baseline is far from what its innovations show, so that nothing can be judged by it.
+
+    Empty if the mean NIS per degree of freedom of its DVL is between `SMALLEST_NIS_PER_DOF` and `LARGEST_NIS_PER_DOF`,
+    or if it has none.
+    """
+    for row in rows:
+        is_dvl = row.measurement == "velocity" or is_beam(row.measurement)
+        size = finite(row.mean_nis) / row.dof if row.dof else math.nan
+        if row.filter != name or not is_dvl or not size > 0.0 or row.verdict == Consistency.INSUFFICIENT:
+            continue
+        factor, word = (1.0 / size, "large") if size < 1.0 else (size, "small")
+        if not SMALLEST_NIS_PER_DOF <= size <= LARGEST_NIS_PER_DOF:
+            found = f"the noise of {name} is {factor:.0f} times too {word}"
+            return f"{found} (NIS / dof of its {row.measurement} is {size:.2g}, expected 1); fit it first: --control"
+    return ""
+
+
+def misread(name: str, rows: Sequence[ConsistencyRow]) -> str:
+    """Name a sensor other than the DVL whose innovations are far larger than a candidate expects; empty if none is.
+
+    It has other units, axes or a clock than the settings say, and a position may not show what comes of it.
+    """
+    others = [row for row in rows if row.measurement != "velocity" and not is_beam(row.measurement)]
+    return surprised(name, [row for row in others if row.measurement not in DVL_AIDING])
 
 
 def surprised(name: str, rows: Sequence[ConsistencyRow]) -> str:
@@ -229,11 +235,14 @@ def evaluated_candidates(
     tables: Tables,
     notes: Sequence[Note],  # of the dive
     *,
-    independent: bool,  # whether the reference shares no sensors with the filters
+    primary: str = "",  # the quantity that the settings name
+    not_repeatable: Mapping[str, str] = MappingProxyType({}),  # by candidate, why its answer cannot be judged
+    start: str = "",  # what the heading at the start comes from, see `sentences.start_of`
 ) -> tuple[Tables, dict[str, CandidateVerdict]]:
-    """Return the verdict on each candidate; evidence rows of those that are not evaluated lose their verdicts."""
+    """Return the verdict on each candidate. Evidence of those that are not evaluated decides nothing."""
     baseline, *candidates = (history.filter for history in histories)
     unsound = not_evaluated(histories, errors, tables, notes)
+    varying = {name: reason for name, reason in not_repeatable.items() if name not in unsound}
     by_depth = {
         history.filter
         for history in histories
@@ -245,10 +254,10 @@ def evaluated_candidates(
         # Depth is no evidence where a filter is aided by the depth that the reference is made of.
         left_out = "depth" if by_depth & {baseline, name} else ""
         rows = [row for row in tables.evidence if row.filter == name and row.quantity != left_out]
-        rows = nothing_better(rows) if surprised(name, tables.consistency) else rows
-        evidence += [replace(row, verdict="") for row in rows] if name in unsound else rows  # no gate on them may pass
+        decides = name not in unsound and name not in varying
+        evidence += rows if decides else [replace(row, role=Role.SHOWN) for row in rows]
     tables = replace(tables, evidence=evidence)
-    return tables, verdicts(tables, baseline, candidates, unsound, independent=independent)
+    return tables, verdicts(tables, baseline, candidates, unsound, primary, varying, start)
 
 
 def verdicts(
@@ -256,35 +265,44 @@ def verdicts(
     baseline: str,
     candidates: Sequence[str],
     unsound: Mapping[str, str],  # by candidate what keeps it from being evaluated, from `not_evaluated`
-    *,
-    independent: bool,  # whether the reference shares no sensors with the filters
+    primary: str = "",  # the quantity that the settings name
+    varying: Mapping[str, str] = MappingProxyType({}),  # by candidate, why it does not repeat
+    start: str = "",  # what the heading at the start comes from
 ) -> dict[str, CandidateVerdict]:
     """Return the verdict on each candidate, by name."""
-    found, has_reference = {}, any(row.samples for row in tables.reference_error)
+    found = {}
     for candidate in candidates:
         predicted_pct = mean_over_nine(tables.improvement, candidate)
         evidence = [row for row in tables.evidence if row.filter == candidate]
-        verdict, prediction = Verdict.NOT_EVALUATED, Prediction.UNDECIDED
-        measured = f"{candidate} {AGAINST[Verdict.NOT_EVALUATED]} {baseline}: {unsound.get(candidate)}{SETTLE}"
-        if candidate not in unsound:
-            verdict = verdict_of(evidence)
-            prediction, predicted = _prediction(predicted_pct, baseline, candidate, tables, evidence, has_reference)
-            measured = f"{candidate} {AGAINST[verdict]} {baseline}: {_measured(verdict, evidence)}{predicted}"
+        reason = unsound.get(candidate, "") or varying.get(candidate, "")
+        dives = [] if reason else [evidence]
+        answer = pooled_candidate(
+            candidate,
+            baseline,
+            dives,
+            1,
+            [predicted_pct],
+            [reason],
+            primary=primary or primary_of(dives),
+            not_repeatable=int(candidate in varying),
+        )
         changes = [
             finite(row.improvement_pct)
             for row in tables.reference_error
             if row.filter == candidate and row.status == ReferenceStatus.COMPARED and row.quantity in COMPARED
         ]
-        shared = "" if independent or not has_reference else f" {SHARED}"
+        trust = trust_sentence(tables, candidate, baseline)
         found[candidate] = CandidateVerdict(
-            sentence=f"{measured}. {trust_sentence(tables, candidate, baseline)}{shared}",
-            verdict=verdict,
+            sentence=f"{paragraph(answer, start)} {trust}",
+            verdict=answer.verdict,
+            reason=reason,
+            primary=answer.primary,
             consistency=consistency_of(tables.consistency, candidate),
             mean_improvement_pct=predicted_pct,
             mean_convergence_improvement_pct=mean_over_nine(tables.convergence, candidate),
             reference_improvement_pct=median_of(changes),
             credibility=credibility_of(tables.credibility, candidate),
-            prediction=prediction,
+            prediction=answer.prediction,
             mean_convergence_unchanged_pct=unchanged_over_nine(tables.convergence, candidate),
             mean_nearest_approach_improvement_pct=nearest_over_nine(tables.convergence, candidate),
         )
@@ -293,61 +311,12 @@ def verdicts(
 
 def not_evaluated_notes(verdicts: Mapping[str, CandidateVerdict]) -> tuple[Note, ...]:
     """Note the candidates without a verdict, so that a replay that may have no warnings fails."""
-    names = [name for name, found in verdicts.items() if found.verdict == Verdict.NOT_EVALUATED]
-    text = "there is no verdict on {}, which is not evaluated"
+    words = {name: found.verdict for name, found in verdicts.items() if found.verdict in WITHOUT_VERDICT}
+    text = "there is no verdict on {}, which is {}"
     hint = "settle the reason, which is in the sentence on the filter"
-    return tuple(Note("not_evaluated", text.format(name), 1, Severity.WARNING, hint) for name in names)
-
-
-def reason_not_evaluated(sentence: str) -> str:
-    """Return the reason in the sentence on a candidate that is not evaluated."""
-    return sentence.partition(AGAINST[Verdict.NOT_EVALUATED])[2].partition(": ")[2].rpartition(SETTLE)[0]
-
-
-def _prediction(
-    predicted_pct: float,
-    baseline: str,
-    candidate: str,
-    tables: Tables,
-    evidence: Sequence[EvidenceRow],
-    has_reference: bool,
-) -> tuple[Prediction, str]:
-    """Return whether the predicted improvement is confirmed, and the sentences on it."""
-    given = {row.state for row in tables.improvement if row.filter == candidate}
-    if not given >= {state.id for state in NINE}:
-        return Prediction.UNDECIDED, ". It reports the sigma of only some states" if given else ""
-    if not np.isfinite(predicted_pct):
-        return Prediction.UNDECIDED, ". Predicted: a sigma that is not finite"
-    size = "smaller" if predicted_pct >= 0.0 else "larger"
-    if abs(predicted_pct) < NOTABLE_PCT:
-        same = f"about the same sigma as {baseline} ({abs(predicted_pct):.1f} % {size})"
-        return Prediction.UNDECIDED, f". Predicted: {same}"
-    predicted = f". Predicted: {abs(predicted_pct):.1f} % {size} sigma"
-    if predicted_pct < 0.0:
-        return Prediction.UNDECIDED, predicted
-    prediction = prediction_of(predicted_pct, evidence, most_starts(evidence))
-    return prediction, f"{predicted}. {on_prediction(prediction, evidence, has_reference=has_reference)}"
-
-
-def _measured(verdict: Verdict, evidence: Sequence[EvidenceRow]) -> str:
-    """Say what was measured, by the evidence rows that decided, or could have decided."""
-    pieces = []
-    for row in spoken_of(verdict, evidence):
-        piece = changed(row)
-        if np.isfinite(finite(row.ratio)):
-            values = f"{finite(row.value):.3g} {row.unit} against {finite(row.baseline):.3g} {row.unit}"
-            details = "; ".join(filter(None, (values, interval_in_words(row), row.why)))
-            drawn = f" over {row.starts} random starts" if row.evidence == "accuracy" and row.starts > 1 else ""
-            piece = f"{piece}{drawn} (this dive: {details})"
-        pieces.append(piece)
-    left, needed = left_undecided(verdict, evidence), would_settle(verdict, evidence)
-    left += f"; {needed}" if needed else ""
-    words = {row.verdict for row in evidence if row.evidence == CONSISTENCY} & {*DECIDED}
-    if len(words) == 1:
-        is_more = EvidenceVerdict.BETTER in words
-        joined = "but" if is_more == (verdict == Verdict.WORSE) else "and"
-        left += f"; {joined} it is {'more' if is_more else 'less'} consistent"
-    return f"{'; '.join(pieces) or 'there is no evidence'}{left}"
+    return tuple(
+        Note("not_evaluated", text.format(name, word), 1, Severity.WARNING, hint) for name, word in words.items()
+    )
 
 
 def trust_sentence(tables: Tables, candidate: str, baseline: str) -> str:

@@ -12,7 +12,7 @@ from insdvl_replay.core.config_file import check_start, start_latitude_deg
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats, ImuColumns, ReferenceColumns, apart_s, at_time
 from insdvl_replay.core.errors import LogError, Note
 from insdvl_replay.core.states import BY_SENSOR, DEG, DEG_PER_HOUR, MG, PHI
-from insdvl_replay.core.words import Severity
+from insdvl_replay.core.words import HeadingSource, Severity
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.geometry.rotation import mat_from_rpy, rpy_from_mat, wrap_angle
@@ -30,7 +30,6 @@ from insdvl_replay.preparation.filters import resolve_filters
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.start_sources import (
     AttitudeSource,
-    HeadingSource,
     PositionSource,
     StartSources,
     initial_sd,
@@ -57,6 +56,7 @@ class Alignment:
     initial: Initial | None = None  # the settings, with what other sensors filled in
     spread_cov: Floats | None = None  # (n, n) of random starts, by [initial]; None: as that of the start
     used_ns: Mapping[str, int] = field(default_factory=dict)  # by sensor, the time of the reading that the start took
+    heading_source: HeadingSource = HeadingSource.SETTINGS
 
     @property
     def spread_start(self) -> Start:
@@ -195,10 +195,13 @@ def align(
         notes.append(note("start_velocity_dvl", away=abs(by_dvl.ping_ns - start_ns) * 1e-9))
     levelled_by = level if sensed_mat_nb is None else None
     cov, spread_cov = start_cov(initial_sd(initial), mat_nb, levelled_by, dvl_velocity_n), None
+    heading_source = _heading_source(
+        posed=posed is not None, sensed=is_heading_sensed, fitted=fitted_heading_sd is not None
+    )
     if initial.uncertainty == "source":
         sources = StartSources(
             _attitude_source(posed=posed is not None, sensed=sensed_mat_nb is not None),
-            _heading_source(posed=posed is not None, sensed=is_heading_sensed, fitted=fitted_heading_sd is not None),
+            heading_source,
             _position_source(located=is_located, fixed=fix is not None),
             dvl_velocity_n is None,
             fitted_heading_sd,
@@ -221,7 +224,7 @@ def align(
         moved = moved_position(position, -(mat_nb @ np.array(config.position.lever_arm_m)))
         position = np.where(np.isfinite(fix), moved, position)
     start = Start(position, velocity_n, mat_nb, cov, accel_bias_b, gyro_bias_b, is_heading_sensed=is_heading_sensed)
-    return Alignment(start_ns, start, tuple(notes), initial, spread_cov, used_ns)
+    return Alignment(start_ns, start, tuple(notes), initial, spread_cov, used_ns, heading_source)
 
 
 @dataclass(frozen=True)

@@ -155,6 +155,14 @@ NOTES: Final[dict[str, tuple[Severity, str, str]]] = {
         "{key}: its runs from {count} starts gave the same solution, so it ignores its start",
         "begin from the state in {{start}}; otherwise errors of the start are no evidence on it",
     ),
+    "answers_repeat": (
+        INFO, "{key}: a second run gave the same answer to the last bit, SHA-256 {digest}{steady}", ""
+    ),
+    "answers_differ": (
+        INFO,
+        "{key} {moves}",
+        "seed its random numbers, and leave out what depends on the clock, on threads or on the order of messages",
+    ),
     # Recorded solutions.
     "solution_turned": (
         INFO, "{key}: turned by {turn:+.2f} deg, to the heading of {baseline} at its first attitude", ""

@@ -6,9 +6,11 @@ its own matter.
 """
 
 import contextlib
+import math
 import os
 import pickle
 import queue
+import resource
 import select
 import signal
 import struct
@@ -46,14 +48,18 @@ class UserProcesses:
         self.input = "class" if settings.program is None else settings.input or "clean"
         self.timeout_s = settings.timeout_s or TIMEOUT_S  # of one run
         self.too_late = f"did not end within {self.timeout_s:g} s"
+        self.cpu_s = math.nan  # processor seconds of the first run
         self._running, self._is_stopped = set[Process](), threading.Event()
         self._idle: queue.SimpleQueue[Process] = queue.SimpleQueue()  # of a class, ready for another run
         folder.mkdir()
 
-    def run(self, run: str, dive_file: Path, start: CandidateStart) -> Solution:
-        """Run the filter over a dive, from a start; the name of the run names its files."""
+    def run(self, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool = False) -> Solution:
+        """Run the filter over a dive, from a start; the name of the run names its files.
+
+        A run in a ``new_process`` is in one that no other run of a class was in.
+        """
         if self.settings.candidate is not None:
-            return self._run_class(self.settings.candidate, run, dive_file, start)
+            return self._run_class(self.settings.candidate, run, dive_file, start, new_process=new_process)
         folder = self.folder / run
         folder.mkdir()
         start_file, solution_file = folder / "start.json", folder / "solution"
@@ -62,9 +68,11 @@ class UserProcesses:
         for place, path in {"{dive}": dive_file, "{start}": start_file, "{solution}": solution_file}.items():
             words = [word.replace(place, str(path)) for word in words]
         try:
+            begun_s = _children_s()
             process = self._started(words, f"{run}: ")
             try:
                 code = process.wait(self.timeout_s)
+                self._keep_cpu_s(_children_s() - begun_s)
             except subprocess.TimeoutExpired as error:
                 raise CandidateError(self.too_late) from error
             finally:
@@ -81,20 +89,28 @@ class UserProcesses:
             with contextlib.suppress(OSError):
                 solution_file.unlink()
 
-    def _run_class(self, word: str, run: str, dive_file: Path, start: CandidateStart) -> Solution:
+    def _keep_cpu_s(self, cpu_s: float) -> None:
+        """Keep the processor seconds of the first run, beside which there is no other."""
+        if math.isnan(self.cpu_s):
+            self.cpu_s = cpu_s
+
+    def _run_class(self, word: str, run: str, dive_file: Path, start: CandidateStart, *, new_process: bool) -> Solution:
         """Give a run to an idle process of the class, or to a new one."""
         try:
+            if new_process:
+                raise queue.Empty
             process = self._idle.get_nowait()
         except queue.Empty:
             path = os.pathsep.join(entry or "." for entry in sys.path)
             command = [sys.executable, "-P", "-u", "-c", f"from {__name__} import run_class; run_class()", word]
             process = self._started(command, "", subprocess.PIPE, os.environ | {"PYTHONPATH": path})
         try:
-            answer = self._answer(process, (dive_file, start))
+            answer, cpu_s = self._answer(process, (dive_file, start))
         except CandidateError:
             self._end(process)
             raise
         self._idle.put(process)
+        self._keep_cpu_s(cpu_s)
         if isinstance(answer, Exception):
             raise answer
         solution: Solution = answer
@@ -172,6 +188,12 @@ class UserProcesses:
         return "".join(text if name == "stderr" else f"--- {name}\n{text}" for name, text in texts.items())
 
 
+def _children_s() -> float:
+    """Return the processor seconds of all processes that this one has waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def _ended(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
@@ -201,11 +223,12 @@ def run_class() -> None:
         while True:
             dive_file, start = pickle.load(asked)
             answer: Solution | Exception
+            begun_s = time.process_time() + _children_s()
             try:
                 answer = solution_of_class(sys.argv[1], dive_file, start)
             except (CandidateError, ConfigError) as error:
                 answer = error
-            content = pickle.dumps(answer)
+            content = pickle.dumps((answer, time.process_time() + _children_s() - begun_s))
             answers.write(HEADER.pack(MARK, len(content)) + content)
             answers.flush()
 

@@ -7,6 +7,7 @@ compiled filter leaves the interpreter to other threads while it runs; on long d
 """
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -41,6 +42,7 @@ from insdvl_replay.nav.levelling import Start, drawn_starts, with_more_states
 from insdvl_replay.nav.outage import gravity_drift, run_outage
 from insdvl_replay.nav.timeline import FIRST_OTHER, NEVER, Gaps, Timeline, build_timeline
 from insdvl_replay.preparation.filters import ResolvedFilter
+from insdvl_replay.preparation.heading_draw import HeadingDraw, heading_draw
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, in_outages
 from insdvl_replay.preparation.prepared import Prepared, prepare_dive, with_reference_at_imu
@@ -61,6 +63,7 @@ class RunPlan:
     windows: OutagePlan  # without the DVL
     starts: int  # from which each candidate runs, the dive's own among them; 0 without a reference
     seed: int
+    heading: HeadingDraw | None = None  # a second start of those that depend on the heading of the first
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,9 @@ class Runs:
     notes: tuple[Note, ...]
     user_outages: Mapping[str, OutageRuns] = field(default_factory=dict)  # of filters of the user's, with the baseline
     printed: Mapping[str, str] = field(default_factory=dict)  # by filters of the user's
+    cpu_s: Mapping[str, float] = field(default_factory=dict)  # processor seconds of one run over the dive, by filter
+    not_repeatable: Mapping[str, str] = field(default_factory=dict)  # by filter of the user's whose answers differ: why
+    turned: tuple[History, ...] = ()  # from the plan's second start: baseline, then candidates that depend on it
 
 
 def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | None = None) -> RunPlan:
@@ -86,6 +92,7 @@ def plan_runs(dive: Dive, prepared: Prepared, config: Config, *, starts: int | N
         plan_outages(prepared.velocities.time_ns, prepared.gaps.overlap, *span),
         starts if dive.reference is not None else 0,
         config.evaluation.seed,
+        heading_draw(dive, prepared, config, config.evaluation.seed),
     )
 
 
@@ -97,9 +104,11 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
     report_stage("running the filters")
     return_freed_memory()
     timeline, cov_ns = prepared_timeline(dive, prepared), np.union1d(plan.evaluated_ns, plan.windows.start_ns)
-    histories = _side_by_side(
-        timeline, lambda filter_: run_one(filter_, prepared, timeline, cov_ns=cov_ns), prepared.filters
+    timed = _side_by_side(
+        timeline, lambda filter_: _timed(lambda: run_one(filter_, prepared, timeline, cov_ns=cov_ns)), prepared.filters
     )
+    histories = tuple(history for history, _ in timed)
+    cpu_s = {history.filter: seconds for history, seconds in timed}
     spread = histories
     if prepared.alignment.spread_cov is not None:
         start = prepared.alignment.spread_start
@@ -107,16 +116,43 @@ def run_candidates(dive: Dive, prepared: Prepared, plan: RunPlan, config: Config
             timeline, lambda filter_: run_one(filter_, prepared, timeline, start=start), prepared.filters
         )
     outages = run_outages(dive, prepared, timeline, config, histories, plan.windows)
+    turned = _from_drawn_heading(prepared, timeline, plan.heading)
     motions, notes = dict[str, ReferenceColumns](), list[Note]()
     for name, settings in config.solutions.items():
         found, motions[name], its_notes = recorded_history(
             name, dive.solutions[name], settings, dive.imu, histories[0], plan.evaluated_ns
         )
         histories, notes = (*histories, found), [*notes, *its_notes]
+        if turned and not found.is_turned:
+            turned = (*turned, _compared_alone(found))
     drawn: tuple[DrawnErrors, ...] = ()
     if plan.starts:
         drawn = with_solutions(run_from_drawn_starts(dive, prepared, plan.starts, plan.seed), histories, dive)
-    return Runs(histories, drawn, outages, spread, motions, tuple(notes))
+    return Runs(histories, drawn, outages, spread, motions, tuple(notes), cpu_s=cpu_s, turned=turned)
+
+
+def _timed(work: Callable[[], T]) -> tuple[T, float]:
+    """Do some work; return its result and the processor seconds of this thread."""
+    begun_s = time.thread_time()
+    found = work()
+    return found, time.thread_time() - begun_s
+
+
+def _from_drawn_heading(prepared: Prepared, timeline: Timeline, draw: HeadingDraw | None) -> tuple[History, ...]:
+    """Run baseline and candidates from the second start, of which only the track counts."""
+    if draw is None:
+        return ()
+    filters = [filter_ for filter_ in prepared.filters if filter_.name in draw.filters]
+    return _side_by_side(
+        timeline,
+        lambda filter_: _compared_alone(run_one(filter_, prepared, timeline, start=draw.start)),
+        filters,
+    )
+
+
+def _compared_alone(history: History) -> History:
+    """Let go of the innovations that a comparison of tracks does not need."""
+    return replace(history, innovations=tuple(met for met in history.innovations if met.is_held_out))
 
 
 def _side_by_side(timeline: Timeline, work: Callable[..., T], *arguments: Sequence[Any]) -> tuple[T, ...]:

@@ -11,6 +11,7 @@ from insdvl_replay.core.config import Config, Initial
 from insdvl_replay.core.dive_columns import NS_PER_S, Dive, Floats
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.states import BA, BG, DEG, DEG_PER_HOUR, DV, MG, PHI
+from insdvl_replay.core.words import HeadingSource
 from insdvl_replay.nav.dvl import DvlVelocities
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.source_errors import HEADING_FLOOR, SourceSd, ahrs_sd, reference_sd
@@ -25,15 +26,6 @@ class AttitudeSource(StrEnum):
     REFERENCE = "reference"
     AHRS = "ahrs"
     GRAVITY = "gravity"
-
-
-class HeadingSource(StrEnum):
-    """Where the heading at the start comes from."""
-
-    REFERENCE = "reference"
-    SENSOR = "sensor"
-    FIT = "fit"
-    SETTINGS = "settings"
 
 
 class PositionSource(StrEnum):

@@ -3,9 +3,12 @@
 They are given what the built-in filters get, and nothing that judges them. In the DVL outage test a built-in filter
 goes on from its state at the begin of each window. A filter of the user's cannot, so it runs over whole dives that lack
 the pings of every third window. The baseline runs over the same dives, so that both drift in the same windows.
+
+At last each runs again: from the same start, with all stamps a microsecond later, and with a few samples repeated.
 """
 
 import hashlib
+import math
 import pickle
 import shutil
 import tempfile
@@ -18,11 +21,13 @@ import numpy as np
 from msgspec.structs import replace as changed
 
 from insdvl_replay.core.config import Config, Filter
-from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats
+from insdvl_replay.core.dive_columns import Dive, DvlColumns, Floats, ImuColumns
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.history import History
 from insdvl_replay.core.runtime import parallel_map, report_stage
+from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.evaluate import with_solutions
+from insdvl_replay.evaluation.evidence import ErrorSeries, ReferenceNoise
 from insdvl_replay.evaluation.outage_test import (
     OutagePlan,
     OutageRun,
@@ -32,10 +37,11 @@ from insdvl_replay.evaluation.outage_test import (
     drift_run,
 )
 from insdvl_replay.evaluation.reference_errors import DrawnErrors, drawn_errors, run_from_start
+from insdvl_replay.evaluation.repeats import Change, Repeat, apart_m, errors_of_runs, metres, share_moved
 from insdvl_replay.geometry.earth import earth_rate_n
 from insdvl_replay.logs import copy_log, held_back_messages, write_dive
 from insdvl_replay.nav.levelling import Start
-from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart
+from insdvl_replay.nav.user_candidate import CandidateError, CandidateStart, Solution
 from insdvl_replay.preparation.candidates import failed_history, history_of_candidate
 from insdvl_replay.preparation.notes import note
 from insdvl_replay.preparation.plugins import Outage, given_dive
@@ -45,6 +51,9 @@ from insdvl_replay.preparation.run import RunPlan, Runs, drawn_part, prepared_ti
 from insdvl_replay.preparation.solutions import interpolated, interpolated_attitude
 
 OUTAGE_DIVES: Final = 3  # each lacks every third window: the time between two of them is twice as long as a window
+LATER_NS: Final = 1000  # by which stamps are moved, and samples repeated
+REPEATED_EVERY: Final = 10_000
+SHOWN_DIGITS: Final = 16  # of a digest
 LONGEST_WINDOW_S, FEWEST_WINDOWS = 60, 6  # the longest windows of which there are so many, else the shortest
 
 
@@ -67,6 +76,8 @@ class UserRun(NamedTuple):
     drawn: DrawnErrors | None  # from random starts
     outages: OutageRuns | None  # with those of the baseline
     notes: tuple[Note, ...]
+    repeats: tuple[Repeat, ...] = ()
+    turned: History | None = None  # from the plan's second start
 
 
 def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPlan, config: Config) -> Runs:
@@ -82,37 +93,37 @@ def with_user_candidates(runs: Runs, dive: Dive, prepared: Prepared, plan: RunPl
     outage_dives = _outage_dives(dive, prepared, config, windows)
     if plan.starts:
         starts, part, _ = drawn_part(dive, prepared, plan.starts, plan.seed)
-    histories, drawn, notes = list(runs.histories), list(runs.drawn), list(runs.notes)
+    histories, drawn, notes, turned = list(runs.histories), list(runs.drawn), list(runs.notes), list(runs.turned)
     outages, printed = dict[str, OutageRuns](), dict[str, str]()
+    cpu_s, not_repeatable = dict(runs.cpu_s), dict[str, str]()
     # What a program has started may still write into it.
     with tempfile.TemporaryDirectory(prefix="insdvl-replay-", ignore_cleanup_errors=True) as folder:
         for name, settings in config.user_candidates.items():
             report_stage(f"running {name}")
             candidate = _Candidate(name, settings, Path(folder, name), plan)
             for test in (whole, *outage_dives):  # each candidate has files of its own: it may change or remove them
-                file, kind = candidate.file(test), candidate.processes.input
-                if kind == "clean":
-                    write_dive(file, test.dive, is_compressed=False)
-                elif kind == "class":
-                    file.write_bytes(pickle.dumps(test.dive))
-                elif dive.paths:
-                    copy_log(file, dive.paths, held_back_messages(dive.paths, config, test.absent))
+                candidate.give(test, dive, config)
             try:
-                found = candidate.runs(whole, starts, part, outage_dives, windows)
+                found = candidate.runs(whole, starts, part, outage_dives, windows, dive, config)
             except CandidateError as error:
                 found = UserRun(failed_history(name, str(error), whole.baseline, whole.dive.imu), None, None, ())
             finally:
                 candidate.processes.stop()
             histories.append(found.history)
+            turned += [] if found.turned is None else [found.turned]
             drawn += [] if found.drawn is None else [found.drawn]
             drawn = list(with_solutions(drawn, [found.history], dive)) if plan.starts else drawn
             outages |= {} if found.outages is None else {name: found.outages}
             notes += found.notes
+            if off := [repeat for repeat in found.repeats if repeat.is_off]:
+                not_repeatable[name] = f"{name} {off[0].text(whole.baseline.filter)}"
+            cpu_s |= {} if math.isnan(candidate.processes.cpu_s) else {name: candidate.processes.cpu_s}
             printed |= {name: text} if (text := candidate.processes.printed) else {}
             shutil.rmtree(candidate.folder, ignore_errors=True)
     return replace(
-        runs, histories=tuple(histories), drawn=tuple(drawn), notes=tuple(notes), user_outages=outages, printed=printed
-    )
+        runs, histories=tuple(histories), drawn=tuple(drawn), notes=tuple(notes), user_outages=outages, printed=printed,
+        cpu_s=cpu_s, not_repeatable=not_repeatable, turned=tuple(turned),
+    )  # fmt: skip
 
 
 class _Candidate:
@@ -126,19 +137,34 @@ class _Candidate:
         """Return the file of a dive that it is given."""
         return self.folder / DIVE_FILES[self.processes.input].format(test.name)
 
-    def history(self, test: GivenDive, run: str, start: Start) -> tuple[History, tuple[Note, ...], str]:
-        """Run it over a dive; return its history, notes, and a digest of its solution."""
+    def give(self, test: GivenDive, dive: Dive, config: Config) -> None:
+        """Write the file of a test by a dive, in the form that it reads."""
+        file = self.file(test)
+        if self.processes.input == "clean":
+            write_dive(file, test.dive, is_compressed=False)
+        elif self.processes.input == "class":
+            file.write_bytes(pickle.dumps(test.dive))
+        elif dive.paths:
+            copy_log(file, dive.paths, held_back_messages(dive.paths, config, test.absent))
+
+    def history(
+        self, test: GivenDive, run: str, start: Start, *, late_ns: int = 0, new_process: bool = False
+    ) -> tuple[History, tuple[Note, ...], str]:
+        """Run it over a dive; return its history, notes, and a digest of its solution.
+
+        The stamps that it is given may be late. Those of its solution are taken back.
+        """
         alignment = test.prepared.alignment
         given = CandidateStart(
             **{column.name: getattr(start, column.name) for column in fields(Start)},
-            time_ns=alignment.start_ns,
+            time_ns=alignment.start_ns + late_ns,
             dvl_lever_arm_b=test.prepared.mounting.lever_arm_b,
             position_sd_m=np.array(alignment.initial.position_sd_m if alignment.initial else (1.0, 1.0, 1.0)),
         )
         dive_file = self.file(test)
         if not dive_file.exists():
             raise CandidateError("cannot be run: its input is the log, and the dive has no file")
-        solution = self.processes.run(run, dive_file, given)
+        solution = _earlier(self.processes.run(run, dive_file, given, new_process=new_process), late_ns)
         digest = hashlib.sha256()
         for column in (solution.time_ns, solution.position, solution.velocity_n, solution.mat_nb):
             digest.update(b"" if column is None else np.ascontiguousarray(column).tobytes())
@@ -155,8 +181,10 @@ class _Candidate:
         part: Dive,  # with the times of the reference at which errors are kept
         outage_dives: Sequence[GivenDive],
         windows: Windows | None,
+        dive: Dive,
+        config: Config,
     ) -> UserRun:
-        """Run it from all starts, and over the dives of the outage test."""
+        """Run it from all starts, over the dives of the outage test, and again."""
         reference = part.reference
 
         def from_start(place: int) -> tuple[History | None, DrawnErrors | None, tuple[Note, ...], str]:
@@ -176,10 +204,25 @@ class _Candidate:
             drawn = drawn_errors([first, *(errors for _, errors, *_ in others if errors)], own_sd=own_sd)
         if others and all(other == digest for *_, other in others):
             notes = (*notes, note("candidate_ignores_start", len(starts), key=f"filters.{self.name}"))
+        turned = None
+        if self.plan.heading is not None:
+            turned, *_ = self.history(whole, "start_heading", self.plan.heading.start)
         has_attitude = np.isfinite(history.mat_nb).any() and np.isfinite(history.velocity_n).any()
-        if windows is None or not has_attitude:
-            return UserRun(history, drawn, None, notes)
-        own = list(parallel_map(in_outages, outage_dives, stop=self.processes.stop))
+        own, outages = list[History](), None
+        if windows is not None and has_attitude:
+            own = list(parallel_map(in_outages, outage_dives, stop=self.processes.stop))
+            outages = self._outages(whole, outage_dives, own, windows)
+        repeats = tuple[Repeat, ...]()
+        if config.evaluation.repeats:
+            first_outage = (outage_dives[0], own[0], windows) if own and windows is not None else None
+            repeats = self._repeats(whole, history, digest, starts[0], first_outage, dive, config)
+            notes = (*notes, *_notes_of(repeats, digest, f"filters.{self.name}", whole.baseline.filter))
+        return UserRun(history, drawn, outages, notes, repeats, turned)
+
+    def _outages(
+        self, whole: GivenDive, outage_dives: Sequence[GivenDive], own: Sequence[History], windows: Windows
+    ) -> OutageRuns:
+        """Return its drifts and those of the baseline in all windows."""
         velocities = whole.prepared.velocities
         drifts = {
             name: _drifts(outage_dives, found, whole.prepared, windows)
@@ -188,7 +231,132 @@ class _Candidate:
         none = np.empty(0, np.int64)
         plan = OutagePlan(velocities.time_ns, (windows,), Windows(windows.window_s, none, none, 0))
         distance_m = distance_along_m(velocities.time_ns, velocities.velocity_b)
-        return UserRun(history, drawn, OutageRuns(plan, distance_m, drifts), notes)
+        return OutageRuns(plan, distance_m, drifts)
+
+    def _repeats(
+        self,
+        whole: GivenDive,
+        first: History,
+        digest: str,  # of its solution
+        start: Start,
+        outage: tuple[GivenDive, History, Windows] | None,  # the first dive of the outage test, and its run there
+        dive: Dive,
+        config: Config,
+    ) -> tuple[Repeat, ...]:
+        """Run it again, and compare with its first run in the quantity that may decide.
+
+        Where the reference does not give that quantity, it runs again over a dive of the outage test, too.
+        """
+        # The stamps of a log's messages are the vehicle's own, and are left as they are.
+        changes = [Change.AGAIN] if self.processes.input == "log" else [*Change]
+        found = self._again(whole, changes, start, dive, config)
+        histories = {change: answer[0] for change, answer in found.items() if not isinstance(answer, CandidateError)}
+        settings = config.reference
+        noise = ReferenceNoise(settings.position_sd_m, settings.velocity_sd_mps, settings.attitude_sd_deg)
+        quantity = config.evaluation.primary or ("position" if settings.independent else "")
+        bridged_gaps = len(whole.prepared.gaps.start_ns) > 0
+        series = errors_of_runs(
+            [whole.baseline, first, *histories.values()], dive.reference, noise, quantity, bridged_gaps=bridged_gaps
+        )
+        if not series and outage is not None and histories:
+            test, own, windows = outage
+            quantity = f"outage_{windows.window_s}s"
+            drifting = self._again(test, list(histories), start, dive, config)
+            for change, answer in drifting.items():
+                if isinstance(answer, CandidateError):
+                    found[change] = answer
+                    del histories[change]
+            drifted = [answer[0] for answer in drifting.values() if not isinstance(answer, CandidateError)]
+            series = [
+                ErrorSeries(
+                    "m", np.array([run.drift_n[-1, :2] for run in _drifts([test], [one], whole.prepared, windows)])
+                )
+                for one in (test.baseline, own, *drifted)
+            ]
+        shares = [share_moved(series[0], series[1], one) for one in series[2:]] or [math.nan] * len(histories)
+        acts = dict(zip(histories, shares, strict=True))
+        repeats = list[Repeat]()
+        for change, answer in found.items():
+            if isinstance(answer, CandidateError):
+                repeats.append(Repeat(change, failure=str(answer)))
+                continue
+            again, again_digest = answer
+            known = quantity if series else ""
+            repeats.append(Repeat(change, again_digest == digest, apart_m(first, again), known, acts[change]))
+        return tuple(repeats)
+
+    def _again(
+        self, test: GivenDive, changes: Sequence[Change], start: Start, dive: Dive, config: Config
+    ) -> dict[Change, tuple[History, str] | CandidateError]:
+        """Run it over a dive with each change, from the same start; return its histories and digests, or its errors."""
+
+        def run(change: Change) -> tuple[History, str] | CandidateError:
+            name = f"{test.name}_{change.name.lower()}"
+            changed_test = replace(test, name=name, dive=_with_change(test.dive, change))
+            self.give(changed_test, dive, config)
+            late_ns = LATER_NS if change == Change.STAMPS else 0
+            # The answer may depend on the process, as the order of sets does.
+            new_process = change == Change.AGAIN
+            try:
+                history, _, digest = self.history(
+                    replace(test, name=name), f"{name}_run", start, late_ns=late_ns, new_process=new_process
+                )
+            except CandidateError as error:
+                return error
+            finally:
+                self.file(changed_test).unlink(missing_ok=True)
+            return history, digest
+
+        return dict(zip(changes, parallel_map(run, changes, stop=self.processes.stop), strict=True))
+
+
+def _earlier(solution: Solution, by_ns: int) -> Solution:
+    """Return a solution at earlier times."""
+    cov_ns = None if solution.cov_ns is None else solution.cov_ns - by_ns
+    return replace(solution, time_ns=solution.time_ns - by_ns, cov_ns=cov_ns)
+
+
+def _with_change(dive: Dive, change: Change) -> Dive:
+    """Return what a filter is given, with a change that means nothing: no filter that is in order moves by it."""
+    if change == Change.STAMPS:
+        sensors = {name: replace(columns, time_ns=columns.time_ns + LATER_NS) for name, columns in dive.sensors.items()}
+        imu = replace(dive.imu, time_ns=dive.imu.time_ns + LATER_NS)
+        dvl = replace(dive.dvl, time_ns=dive.dvl.time_ns + LATER_NS)
+        return replace(dive, imu=imu, dvl=dvl, sensors=sensors)
+    if change == Change.SAMPLES:
+        return replace(dive, imu=with_repeated_samples(dive.imu))
+    return dive
+
+
+def with_repeated_samples(imu: ImuColumns) -> ImuColumns:
+    """Repeat one sample in `REPEATED_EVERY`, one at least, with the same readings a microsecond later."""
+    count = len(imu.time_ns)
+    rows = np.arange(min(REPEATED_EVERY, count) // 2, count - 1, REPEATED_EVERY)
+    rows = rows[np.diff(imu.time_ns)[rows] > LATER_NS]
+    return ImuColumns(
+        np.insert(imu.time_ns, rows + 1, imu.time_ns[rows] + LATER_NS),
+        np.insert(imu.specific_force_b, rows + 1, imu.specific_force_b[rows], axis=0),
+        np.insert(imu.angular_rate_b, rows + 1, imu.angular_rate_b[rows], axis=0),
+    )
+
+
+def _notes_of(repeats: Sequence[Repeat], digest: str, key: str, baseline: str) -> tuple[Note, ...]:
+    """Note whether a second run gave the same answer, and how far it moves."""
+    notes, moved = list[Note](), list[str]()
+    if any(repeat.change == Change.AGAIN and repeat.is_off for repeat in repeats):
+        # Whatever moves by itself moves with every change.
+        repeats = [repeat for repeat in repeats if repeat.change == Change.AGAIN]
+    for repeat in repeats:
+        is_shown = repeat.is_off or (repeat.change == Change.AGAIN and not repeat.is_equal)
+        if is_shown:
+            severity = Severity.WARNING if repeat.is_off else None
+            notes.append(note("answers_differ", severity=severity, key=key, moves=repeat.text(baseline)))
+        elif repeat.change != Change.AGAIN and math.isfinite(repeat.moves_m):
+            moved.append(f"{metres(repeat.moves_m)} {repeat.change}")
+    steady = f"; its position moves by {', and by '.join(moved)}" if moved else ""
+    if any(repeat.change == Change.AGAIN and repeat.is_equal for repeat in repeats):
+        notes.insert(0, note("answers_repeat", key=key, digest=digest[:SHOWN_DIGITS], steady=steady))
+    return tuple(notes)
 
 
 def _given(dive: Dive, prepared: Prepared) -> Dive:

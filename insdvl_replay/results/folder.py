@@ -41,7 +41,7 @@ TOOL: Final = "insdvl-replay"
 NOT_JSON: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 # Size limit of a result file that is read into memory. Reports of long dives have some MB.
 _MOST_BYTES: Final = 1 << 30
-_TIME_OF_DAY: Final = ("started_at", "elapsed_s")
+_TIME_OF_DAY: Final = ("started_at", "elapsed_s", "cpu_s")
 _MARK: Final = "insdvl-replay-"  # In names of hidden folders, after the dot.
 _OLD: Final = "old"  # Subfolder for the older result while the new one replaces it.
 _LEFT_FOR_S: Final = 86_400.0  # A hidden folder that is unchanged for a day is from a killed run.
@@ -53,7 +53,7 @@ _ANOTHER_PLACE: Final = "choose another place with -o"
 class Label(msgspec.Struct):
     """The fields that identify a report: reports of dives have no kind."""
 
-    tool: dict[str, str | float | None] = {}
+    tool: dict[str, str | float | dict[str, float] | None] = {}
     kind: str | None = None
     files: dict[str, str] = {}
 

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from insdvl_replay.core.config import Config, flattened
 from insdvl_replay.core.errors import counted, require_known
-from insdvl_replay.core.quantities import is_used, is_whole, label
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_used, is_whole, label
 from insdvl_replay.core.result import (
     PAGE,
     PRINTED,
@@ -31,10 +31,10 @@ from insdvl_replay.core.result import (
     Title,
 )
 from insdvl_replay.core.tables import TABLES, Number, each_table, finite
-from insdvl_replay.core.words import ReferenceStatus, Verdict
-from insdvl_replay.evaluation.evidence import OF_STARTS
+from insdvl_replay.core.words import ReferenceStatus
+from insdvl_replay.evaluation.sentences import answer_lines, headline
 from insdvl_replay.evaluation.verdicts import SHARED, consistency_of, trust_sentence
-from insdvl_replay.show.answers import TONES, answer_on_dive, as_shown, has_reference, of_filter
+from insdvl_replay.show.answers import TONES, answer_on_dive, has_reference, initial_text, of_filter, start_text
 from insdvl_replay.show.document import MISSING, ShownColumn, notes_table, number, percent, shown, significant, table_of
 from insdvl_replay.show.first_screen import evidence_forest, first_screen, section
 from insdvl_replay.show.page import HOW_TO_READ, captioned, facts, page, pictures, settings_details
@@ -130,9 +130,7 @@ def tables_of(report: Report) -> dict[tuple[str, str], DisplayTable]:
     found: dict[tuple[str, str], DisplayTable] = {}
     for layout, rows in each_table(report.tables):
         kept: list[Any] = list(filter(_SHOWN_ROWS.get(layout.name), rows))
-        if layout.name == "evidence":
-            kept = [as_shown(row) for row in kept]
-        elif layout.name == "drift":
+        if layout.name == "drift":
             quantities = list(dict.fromkeys(row.quantity for row in kept))
             kept.sort(key=lambda row: quantities.index(row.quantity))
         is_apart = "{filter}" in layout.title
@@ -177,17 +175,10 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
     """Return the footnote of a table, if it depends on the rows."""
     match table:
         case "evidence":
-            starts = max(row.starts for row in rows)
-            begun = "One start without error, so the gain after an error of the start is not measured (--starts 16)."
-            if starts > 1:
-                begun = f"Values: this dive, from its own start. Ratio of accuracy: over {starts} random starts."
-                of_starts = any(row.evidence == "convergence" or row.quantity in OF_STARTS for row in rows)
-                if not (of_starts or of_filter(name, report.tables.outage)):
-                    begun += " A recorded solution has one start: low and high allow for the scatter of starts."
             return (
-                f"{begun} low, high: 95 % interval on this dive; other dives may differ by more. p below 0.01 decides. "
-                "Rows in brackets have no vote. n: independent values behind the interval. The ratio of NIS and NEES "
-                "is that of their distance from 1."
+                "Values: this dive, from its own start, after the sigma of the baseline has settled. acts: the "
+                "difference of both runs over the error of the baseline; the ratio cannot differ from 1 by more. One "
+                "dive has no verdict. The ratio of NIS and NEES is that of their distance from 1."
             )
         case "convergence":
             candidate = report.filters[name]
@@ -200,7 +191,7 @@ def _footnote(report: Report, table: str, name: str, rows: Sequence[Any]) -> str
             return (
                 f"{report.baseline} reaches the target at {number(rows[0].baseline_s)} s. nearest: time at which the "
                 f"sigma of {name} is nearest to the target, as Levy and Klein count. sigma may grow again after it."
-                f"{means if candidate.verdict != Verdict.NOT_EVALUATED else ''}"
+                f"{means if candidate.verdict not in WITHOUT_VERDICT else ''}"
             )
         case "reference_error":
             errors = of_filter(name, report.tables.reference_error)
@@ -280,11 +271,6 @@ def tables_named(report: Report, *names: str) -> list[DisplayTable]:
     return [table for (name, _), table in tables_of(report).items() if name in wanted]
 
 
-def over_starts(starts: int) -> str:
-    """Say how values and ratio of accuracy rows differ; empty for one start."""
-    return f"accuracy ratios: over {starts} random starts; values: from the start in the log" if starts > 1 else ""
-
-
 # --- The page, and the same document in other formats.
 
 MEANING: Final = "Background of panels over time: grey where the vehicle turns, ochre where the DVL has no velocity."
@@ -335,16 +321,17 @@ def _first_screen(report: Report, panels: Sequence[Panel], headline: Sequence[Di
     runs = "Errors over time: median and range of the runs from all starts. " if len(panels) > 1 else ""
     caption = f"{runs}{HOW_TO_READ} {MEANING}" if panels else ""
     yield first_screen(sections, caption, pictures(panels), headline)
-    if any(candidate.sentence.endswith(SHARED) for candidate in report.filters.values()):
+    if has_reference(report) and report.config.get("reference", {}).get("independent") is False:
         yield SHARED
 
 
 def dive_section(report: Report, name: str, title: str = "Evidence") -> str:
     """Return the section of a candidate on one dive."""
     answer = answer_on_dive(report, name)
-    if answer.verdict == Verdict.NOT_EVALUATED:
+    if answer.verdict in WITHOUT_VERDICT:
         return section(answer, [f"{answer.reason}. Settle this first."])
-    sentences = [answer.measured, answer.predicted, trust_sentence(report.tables, name, report.baseline)]
+    lines = answer_lines(answer, initial_text(report.config), start_text([report]))
+    sentences = [headline(answer), *lines, trust_sentence(report.tables, name, report.baseline)]
     most = _MOST_ROWS.get(len(report.filters), _FEWEST_ROWS)
     return section(answer, sentences, [evidence_forest(title, answer, most)])
 

@@ -7,30 +7,31 @@ from urllib.parse import quote
 
 from msgspec import Struct
 
+from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.errors import counted
 from insdvl_replay.core.path_kinds import SUMMARY
-from insdvl_replay.core.quantities import is_whole, label
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_whole, label
 from insdvl_replay.core.result import PAGE, PRINTED, Block, Callout, DisplayTable, Only, Part, Report, Result, Title
 from insdvl_replay.core.tables import Number, PooledRow
-from insdvl_replay.core.words import GateStatus, Severity, Verdict
-from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_sentence, shown_interval
+from insdvl_replay.core.words import GateStatus, Severity
+from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
+from insdvl_replay.evaluation.sentences import answer_lines, headline, paragraph, ratio_text
 from insdvl_replay.evaluation.verdicts import consistency_of
 from insdvl_replay.show.answers import (
     TONES,
     Failure,
     Outcome,
     answer_on_dive,
+    answers_of,
     as_shown,
     baseline_names,
     candidate_names,
     has_reference,
+    initial_text,
     of_filter,
-    pooled_answers,
     prediction_word,
-    ratio_text,
     reports_of,
-    spoken_rows,
-    verdict_counts,
+    start_text,
 )
 from insdvl_replay.show.dive import TOGETHER, VALUES, dive_section, replay_result, values_of
 from insdvl_replay.show.document import MISSING, ShownColumn, number, shown, table_csv, table_of
@@ -48,10 +49,9 @@ class SummaryRow(Struct, frozen=True):
     log: str
     filter: str | None = None
     verdict: str | None = None
-    evidence: str | None = None  # quantity that decided, or could have
-    ratio: Number = None
-    low: Number = None  # ends of its interval, where it is shown
-    high: Number = None
+    evidence: str | None = None  # primary quantity
+    ratio: Number = None  # on this dive
+    acts: Number = None  # difference of both runs over the error of the baseline
     mean_improvement_pct: Number = None  # None without an evaluation
     mean_convergence_improvement_pct: Number = None
     prediction: str | None = None
@@ -86,12 +86,11 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
                 answer = answer_on_dive(outcome, name)
                 known |= {"verdict": answer.verdict, "prediction": candidate.prediction}
                 words += [f"errors {candidate.credibility}"] if candidate.credibility else []
-                if answer.verdict != Verdict.NOT_EVALUATED:
+                if answer.verdict not in WITHOUT_VERDICT:
                     known["mean_improvement_pct"] = candidate.mean_improvement_pct
                     known["mean_convergence_improvement_pct"] = candidate.mean_convergence_improvement_pct
-                for row in spoken_rows(answer)[:1]:
-                    low, high = shown_interval(row) or (None, None)
-                    known |= {"evidence": row.quantity, "ratio": row.ratio, "low": low, "high": high}
+                if answer.verdict not in WITHOUT_VERDICT and (row := answer.decisive) is not None:
+                    known |= {"evidence": row.quantity, "ratio": row.ratio, "acts": row.acts}
             for error in of_filter(name, outcome.tables.reference_error):
                 if error.quantity == "position_h":
                     known["position_h_baseline_rmse_m"] = error.baseline_rmse
@@ -110,8 +109,12 @@ def summary_rows(outcomes: Sequence[Outcome]) -> Iterator[SummaryRow]:
 
 
 def pooled_rows(outcomes: Sequence[Outcome]) -> list[PooledRow]:
-    """Return the pooled evidence on all candidates."""
-    return [row for answer in pooled_answers(reports_of(outcomes)) for row in answer.rows]
+    """Return the pooled evidence on all candidates that at least two dives have."""
+    return [row for answer in _pooled(outcomes) for row in answer.rows]
+
+
+def _pooled(outcomes: Sequence[Outcome]) -> list[CandidateAnswer]:
+    return [answer for answer in answers_of(reports_of(outcomes)) if answer.log == EVERY_DIVE]
 
 
 NO_EVIDENCE: Final = "no evidence. Accuracy takes a reference, the DVL outage test a dive of some minutes."
@@ -136,7 +139,7 @@ def named_result(outcomes: Sequence[Outcome], names: Sequence[str], parts: Seque
 
 
 def _pooled_tables(outcomes: Sequence[Outcome]) -> Iterator[DisplayTable | str]:
-    for answer in pooled_answers(reports_of(outcomes)):
+    for answer in _pooled(outcomes):
         if not answer.rows:
             yield f"{answer.filter} against {answer.baseline}: {NO_EVIDENCE}"
             continue
@@ -195,22 +198,22 @@ def _opening(outcomes: Sequence[Outcome], *, linked: bool) -> Iterator[Part]:
     """Yield the pooled verdicts, and the number of dives with each verdict."""
     reports = reports_of(outcomes)
     failed = len(outcomes) - len(reports)
-    pooled, names = pooled_answers(reports), candidate_names(reports)
+    answers, names = answers_of(reports), candidate_names(reports)
     compared = f": {', '.join(names)} against {reports[0].baseline}" if 0 < len(names) <= MOST_NAMED else ""
     yield Title(f"{len(outcomes)} dives{f', {failed} of them failed' if failed else ''}{compared}")
-    verdicts = {answer.filter: answer.verdict for answer in pooled}
-    found = "; ".join(f"{name}: {verdict_counts(name, reports, verdicts.get(name, ''))}" for name in names)
-    callouts = [Callout(pooled_sentence(answer), TONES.get(answer.verdict, "")) for answer in pooled]
-    callouts += [Callout(f"Dive by dive, against the baseline: {found}.")] if found else []
-    yield Only(PRINTED, tuple(callouts))
-    sections = [_section(answer, reports, linked=linked) for answer in pooled]
-    for name in (name for name in names if name not in {answer.filter for answer in pooled}):
-        [report] = (report for report in reports if name in report.filters)
-        sections.append(dive_section(report, name, f"Evidence on {report.log.name} alone"))
-    evidence = [row for report in reports for row in report.tables.evidence if row.evidence == "accuracy"]
-    starts = max((row.starts for row in evidence), default=0)
-    over = f" Dive by dive: ratios of accuracy are over {starts} random starts." if starts > 1 else ""
-    caption = f"All dives: each is one sample.{over}"
+    _, notes = distinct_dives(reports)
+    yield from (note.text for note in notes)
+    start = start_text(reports)
+    yield Only(PRINTED, tuple(Callout(paragraph(answer, start), TONES.get(answer.verdict, "")) for answer in answers))
+    initial = initial_text(reports[0].config) if reports else ""
+    sections = []
+    for answer in answers:
+        if answer.log == EVERY_DIVE:
+            sections.append(_section(answer, reports, initial, linked=linked))
+        else:
+            report = next(report for report in reports if report.log.name == answer.log)
+            sections.append(dive_section(report, answer.filter, f"Evidence on {report.log.name} alone"))
+    caption = "All dives: each is one sample. Dive by dive: one dive has no interval and no verdict."
     yield Only(PAGE, (first_screen(sections, caption),) if sections else ())
 
 
@@ -218,27 +221,23 @@ MOST_NAMED: Final = 4  # With more candidates, the title has no names.
 _MOST_ROWS: Final = 8  # Evidence rows of the forest plot of all dives.
 
 
-def _section(answer: CandidateAnswer[PooledRow], reports: Sequence[Report], *, linked: bool) -> str:
-    counts = f"Dive by dive: {verdict_counts(answer.filter, reports, answer.verdict)}."
+def _section(answer: CandidateAnswer, reports: Sequence[Report], initial: str, *, linked: bool) -> str:
     dives = dives_forest(answer, reports, linked=linked)
-    if answer.verdict == Verdict.NOT_EVALUATED:
+    if answer.verdict in WITHOUT_VERDICT:
         said = f"Evaluated on {answer.evaluated} of {answer.dives} dives. Settle the reasons of the others first."
-        return section(answer, [said, counts], [dives])
+        return section(answer, [said, *answer_lines(answer)], [dives])
     title = f"All dives, {answer.evaluated} of {answer.dives}" if answer.evaluated < answer.dives else "All dives"
     plots = [evidence_forest(title, answer, _MOST_ROWS), dives]
-    return section(answer, [answer.measured, answer.predicted, counts], plots)
+    having = [report for report in reports if answer.filter in report.filters]
+    return section(answer, [headline(answer), *answer_lines(answer, initial, start_text(having))], plots)
 
 
 # The meaning of the columns of candidates.
 MEANS: Final = (
-    "evidence: the row that decided, or could have, with its ratio; predicted: how much smaller sigma is, mean of nine "
-    "states, by the filter's own covariance"
+    "evidence: the primary quantity, with its ratio on this dive; acts: the difference of both runs over the error of "
+    "the baseline; predicted: how much smaller sigma is, mean of nine states, by the filter's own covariance"
 )
 MEDIAN: Final = "without DVL: the median"
-
-
-def _interval(row: SummaryRow) -> str:
-    return MISSING if row.low is None else f"{ratio_text(row.low)} .. {ratio_text(row.high)}"
 
 
 _DIVE: Final[tuple[ShownColumn, ...]] = (("dive", "l", "log"), ("filter", "l", "filter"))
@@ -254,7 +253,7 @@ _CANDIDATE: Final[tuple[ShownColumn, ...]] = (
     ("verdict", "l", "verdict"),
     ("evidence", "l", lambda row: label(row.evidence) if row.evidence else MISSING),
     ("ratio", "r", lambda row: ratio_text(row.ratio)),
-    ("interval", "r", _interval),
+    ("acts", "r", "acts:share"),
     ("predicted", "r", "mean_improvement_pct:percent"),
     ("prediction", "l", lambda row: prediction_word(row.mean_improvement_pct, row.prediction) or MISSING),
     ("baseline\nposition [m]", "r", "position_h_baseline_rmse_m"),

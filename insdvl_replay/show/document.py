@@ -26,7 +26,7 @@ from insdvl_replay.core.result import (
     Only,
     Part,
 )
-from insdvl_replay.core.tables import layout_of
+from insdvl_replay.core.tables import layout_of, share_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -89,6 +89,7 @@ FORMS: Final[Mapping[str, Callable[[Any], CellText]]] = {
     "significant": significant,
     "value": partial(significant, digits=3),
     "signed_percent": signed_percent,
+    "share": share_text,
     "cell": lambda value: number(value) if isinstance(value, float) else MISSING if value is None else str(value),
     **{str(digits): partial(decimal, digits=digits) for digits in range(5)},
 }

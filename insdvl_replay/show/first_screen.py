@@ -12,13 +12,14 @@ from typing import Final
 from urllib.parse import quote
 
 from insdvl_replay.core.errors import visible, visible_lines
-from insdvl_replay.core.quantities import CONSISTENCY, label
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, label
 from insdvl_replay.core.result import DisplayTable, Html, Report
 from insdvl_replay.core.tables import Number, PooledRow, finite
-from insdvl_replay.core.words import EvidenceVerdict, Verdict
-from insdvl_replay.evaluation.answers import Piece, may_decide, reason_in_words, shown_interval
-from insdvl_replay.evaluation.series import MARGIN
-from insdvl_replay.show.answers import AnyAnswer, chosen_rows, ratio_text, verdict_in_table
+from insdvl_replay.core.words import Role, Verdict
+from insdvl_replay.evaluation.answers import Answer
+from insdvl_replay.evaluation.interval import BAND
+from insdvl_replay.evaluation.sentences import ratio_text, shouted, word_of
+from insdvl_replay.show.answers import chosen_rows, verdict_in_table
 from insdvl_replay.show.document import significant
 from insdvl_replay.show.page import table_html
 
@@ -62,7 +63,7 @@ def forest(title: str, rows: Sequence[ForestRow]) -> str:
     footnote = f'<p class="footnote">{notes}.</p>' if notes else ""
     marks = {why: f" {number}" for number, why in zip(numbers, reasons, strict=True)}
     end, bottom = axis_end(rows), TOP + ROW * len(rows)
-    low, high = (place(ratio, end) for ratio in (1.0 / (1.0 + MARGIN), 1.0 + MARGIN))
+    low, high = (place(ratio, end) for ratio in (1.0 / BAND, BAND))
     lines = [
         f'<svg width="100%" height="{bottom + BOTTOM}">',
         f'<rect class="within" x="{low:.2f}%" y="0" width="{high - low:.2f}%" height="{bottom}"/>',
@@ -143,8 +144,9 @@ def _mark(ratio: float, interval: Sequence[float], middle: float, end: float) ->
 
 # How to read the forest plots.
 READING: Final = (
-    "Ratio: error of the {} over that of the {}, with its 95 % interval. Left of 1 is better. Shaded: within 5 %. Open "
-    "dot: undecided. Bold: named in the sentence."
+    "Ratio: error of the {} over that of the {}, with its interval over dives. Left of 1 is better. Shaded: the band "
+    "of a factor 1.05. An interval wholly left of it is better, wholly right worse, wholly inside equivalent. Bold: it "
+    "decides."
 )
 MOST_DIVES: Final = 20  # With more dives, those with the largest effects are drawn.
 DIVE_PAGE: Final = "report.html"  # The page of a dive, in its folder.
@@ -165,14 +167,17 @@ def first_screen(
     return Html(f'<div class="opening"><div class="candidates">{shown}</div>{aside}</div>{note}')
 
 
-def section(answer: AnyAnswer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
+def section(answer: Answer, sentences: Sequence[str], plots: Sequence[str] = ()) -> str:
     """Return the section of a candidate: the word, sentences, and plots next to them."""
     name, baseline = answer.filter, answer.baseline
+    # The word is above the sentences.
+    verdict = shouted(answer.verdict)
+    texts = [text.removeprefix(f"{verdict}, ") for text in sentences if text != verdict]
     # A name keeps its first letter.
-    begun = (text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}" for text in sentences)
+    begun = (text if text.startswith((name, baseline)) else f"{text[:1].upper()}{text[1:]}" for text in texts)
     said = "".join(f"<p>{_stressed(sentence)}</p>" for sentence in begun)
     against = f"<p><b>{escape(visible_lines(name))}</b> against {escape(visible_lines(baseline))}</p>"
-    word = f'<p class="word">{answer.verdict.upper()}</p>'
+    word = f'<p class="word">{word_of(answer)}</p>'
     return (
         f'<section class="candidate {tone_class(answer.verdict)}"><div class="says">{word}{against}{said}</div>'
         f"{''.join(plots)}</section>"
@@ -186,42 +191,39 @@ def _stressed(sentence: str) -> str:
     return text.replace(word, f"<b>{word}</b>", 1) if word else text
 
 
-def _reason(row: Piece) -> str:
-    """Say why a row does not decide; equivalent is a decision."""
-    return "" if row.verdict == EvidenceVerdict.EQUIVALENT else reason_in_words(row)
-
-
-def evidence_forest(title: str, answer: AnyAnswer, most: int) -> str:
-    """Draw evidence rows: those that decided, the first of each kind, then others."""
-    # Innovations have no vote, and the track of one dive is one sample.
-    known = [row for row in answer.known if row.evidence != CONSISTENCY]
-    known = [row for row in known if row.evidence != "track" or may_decide(row)]
+def evidence_forest(title: str, answer: Answer, most: int) -> str:
+    """Draw rows of evidence over dives: the one that decides, those that can warn, convergence, then others."""
     drawn = []
-    for row in chosen_rows(known, most):
-        won = f" {row.dives_won}/{row.dives}" if isinstance(row, PooledRow) and answer.dives > 1 else ""
-        text, ends = f"{ratio_text(row.ratio)} {verdict_in_table(row)}{won}", shown_interval(row)
-        decides = row in answer.spoken
-        drawn.append(ForestRow(label(row.quantity), row.ratio, ends, row.verdict, text, "", _reason(row), decides))
+    for row in chosen_rows(answer.known, most):
+        won = f" {row.dives_won}/{row.dives}" if row.dives > 1 else ""
+        text = f"{ratio_text(row.ratio)} {verdict_in_table(row)}{won}"
+        tone = row.verdict if row.dives > 1 else Verdict.UNDECIDED
+        decides = row.role == Role.PRIMARY
+        drawn.append(ForestRow(label(row.quantity), row.ratio, interval_ends(row), tone, text, decides=decides))
     return forest(title, drawn)
 
 
-def dives_forest(answer: AnyAnswer, reports: Iterable[Report], *, linked: bool) -> str:
-    """Draw the dives one by one, the smallest ratio first, by the quantity of the row that decided."""
-    first = [*answer.spoken, *answer.rows][:1]
-    quantity, rows = first[0].quantity if first else "", list[ForestRow]()
+def interval_ends(row: PooledRow) -> tuple[float, float] | None:
+    """Return the ends of the interval of a row; None without one."""
+    low, high = finite(row.low), finite(row.high)
+    return None if math.isnan(low + high) else (low, high)
+
+
+def dives_forest(answer: Answer, reports: Iterable[Report], *, linked: bool) -> str:
+    """Draw the dives one by one, the smallest ratio first, by the primary quantity. One dive has no interval."""
+    quantity, rows = answer.primary, list[ForestRow]()
     for report in (report for report in reports if answer.filter in report.filters):
         name, link = report.log.name, f"{quote(report.log.name)}/{DIVE_PAGE}" if linked else ""
         own = [row for row in report.tables.evidence if (row.filter, row.quantity) == (answer.filter, quantity)]
-        if report.filters[answer.filter].verdict == Verdict.NOT_EVALUATED:
-            rows.append(ForestRow(name, None, tone=Verdict.NOT_EVALUATED, text=Verdict.NOT_EVALUATED, link=link))
+        word = report.filters[answer.filter].verdict
+        if word in WITHOUT_VERDICT:
+            rows.append(ForestRow(name, None, tone=word, text=word, link=link))
         elif not own or own[0].ratio is None:
             rows.append(ForestRow(name, None, text="no value", link=link))
         else:
             [row] = own
             text = change_of_value(row.baseline, row.value, row.unit)
-            if row.evidence == "accuracy" and row.starts > 1:  # the values are from the dive's own start alone
-                text = f"{ratio_text(row.ratio)} {row.verdict}"
-            rows.append(ForestRow(name, row.ratio, shown_interval(row), row.verdict, text, link, _reason(row)))
+            rows.append(ForestRow(name, row.ratio, None, Verdict.UNDECIDED, text, link))
     return by_dive_forest(quantity, rows)
 
 

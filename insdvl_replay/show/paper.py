@@ -57,6 +57,7 @@ _LOW_MM: Final = 34.0  # Height of a panel among several, if it is wide.
 _SLIDE_MM: Final = 90.0  # Width of a panel on a slide.
 _PANELS_IN_A_ROW: Final = 3
 _MOST_TICKS: Final = 6
+_PAD_IN: Final = 0.06  # Free to the left and right of axes, inches.
 _SHORT: Final = 100.0  # A logarithmic axis over a smaller factor has ticks at 1, 2 and 5.
 # Without the time of day the same result gives the same bytes.
 _UNDATED: Final = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {"Software": None}}
@@ -130,6 +131,8 @@ def paper_canvas(figure: Figure, width_mm: float, *, headed: bool = False) -> "C
         canvas = Shown(
             figsize=(width_mm / _MM_PER_INCH, (rows * row_mm + 10.0 * headed) / _MM_PER_INCH), layout="constrained"
         )
+        # The label of the last tick is half beyond its axis.
+        canvas.set_layout_engine("constrained", w_pad=_PAD_IN)
         FigureCanvasAgg(canvas)
         grid = canvas.subplots(rows, columns, squeeze=False, sharex=is_shared)
         places = list(grid.flatten("C" if headed else "F"))  # column by column, so that the axes of a vector are one

@@ -4,144 +4,151 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
+from insdvl_replay.core.distinct import distinct_dives
 from insdvl_replay.core.errors import counted, natural_key
-from insdvl_replay.core.quantities import CONSISTENCY, is_beam, label
+from insdvl_replay.core.quantities import WITHOUT_VERDICT, is_beam, label
 from insdvl_replay.core.result import Callout, Code, DisplayTable, Part, Report, Sentences, Title
-from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite
-from insdvl_replay.core.words import GateStatus, Severity, Verdict
-from insdvl_replay.evaluation.answers import EVERY_DIVE, FEWEST_SHOWN, NOTABLE_PCT, Piece, may_decide, reason_in_words
+from insdvl_replay.core.tables import EvidenceRow, PooledRow, finite, share_text
+from insdvl_replay.core.words import GateStatus, Role, Severity, Verdict
+from insdvl_replay.evaluation.answers import EVERY_DIVE, CandidateAnswer
 from insdvl_replay.evaluation.notes import is_noise_far_off
+from insdvl_replay.evaluation.sentences import (
+    answer_lines,
+    assay_line,
+    headline,
+    interval_text,
+    ratio_text,
+    shouted,
+    word_of,
+)
 from insdvl_replay.evaluation.verdicts import consistency_of, trust_sentence
 from insdvl_replay.show.answers import (
     TONES,
-    AnyCandidate,
     Failure,
     Outcome,
-    answer_on_dive,
+    against_control,
     answers_of,
-    baseline_names,
+    assay_of,
     candidate_names,
     chosen_rows,
     evidence_cells,
-    evidence_text,
     has_reference,
-    interval_text,
+    initial_text,
     of_filter,
     predicted_change,
-    ratio_text,
-    reason_undecided,
     reports_of,
-    shouted,
-    spoken_rows,
-    verdict_counts,
+    start_text,
     verdict_in_table,
-    verdict_with_reason,
-    would_decide,
 )
-from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, over_starts, track_fit_line
+from insdvl_replay.show.dive import NO_REFERENCE, headline_table, line_alone, track_fit_line
 from insdvl_replay.show.dives import table_alone
-from insdvl_replay.show.document import MISSING, ShownColumn, decimal, significant, table_of
-
-_NOT_CHECKED: Final = f"below {NOTABLE_PCT:.0f} %, not checked"
+from insdvl_replay.show.document import MISSING, ShownColumn, significant, table_of
 
 
 def quiet_lines(outcomes: Sequence[Outcome]) -> list[str]:
     """Return one line for each candidate, over all dives; of a filter alone one for each dive."""
-    lines = [f"{report.log.name}, {line_alone(report)}" for report in reports_of(outcomes) if not report.filters]
-    for answer in answers_of(reports_of(outcomes)):
-        start = f"{answer.filter} {shouted(answer.verdict)}"
-        if answer.verdict == Verdict.NOT_EVALUATED:
-            lines.append(f"{start} on {answer.where}: {answer.reason}")
-        else:
-            reason = f": {why}" if (why := reason_undecided(answer)) else ""
-            text, word = predicted_change(answer)
-            word = word if finite(answer.predicted_pct) < 0.0 else f": {word or _NOT_CHECKED}"
-            predicted = "predicted sigma unknown" if text == MISSING else f"predicted {text} sigma{word}"
-            lines.append(f"{start} {evidence_text(answer)} on {answer.where}{reason}; {predicted}")
+    reports = reports_of(outcomes)
+    lines = [f"{report.log.name}, {line_alone(report)}" for report in reports if not report.filters]
+    for answer in answers_of(reports):
+        said = headline(answer)
+        reason = f": {answer.reason}" if answer.verdict in WITHOUT_VERDICT else ""
+        lines.append(f"{answer.filter} {said}{reason}")
     return lines
 
 
 # --- The parts that both screens have.
 
-START_SOURCE: Final = "start_source"  # The code of the note on what the start comes from.
 MOST_ANSWERS: Final = 2  # More candidates have a row of a table each.
 MOST_COLUMNS: Final = 3  # More candidates have no common table of evidence.
-MOST_ROWS: Final = {1: 6, 2: 3, 3: 3}  # Evidence rows on a screen, by the number of candidates.
-FOLDED: Final = 6  # Letters of a reason that are folded before a column is left out.
+MOST_ROWS: Final = {1: 8, 2: 4, 3: 4}  # Evidence rows of several dives, by the number of candidates.
+MOST_ROWS_OF_DIVE: Final = 3
 
 
-def _answer_parts(answers: Sequence[AnyCandidate]) -> Iterator[Part]:
-    """Yield word, evidence, what would decide, and prediction of each candidate."""
+def _answer_parts(
+    answers: Sequence[CandidateAnswer], initial: str, start: str, reports: Sequence[Report]
+) -> Iterator[Part]:
+    """Yield verdict, how far it acts, convergence, prediction, and what the dives can find, of each candidate.
+
+    The start is named once.
+    """
     if len(answers) > MOST_ANSWERS:
         yield from (Sentences(()), _answer_table(answers))
+        yield from ([f"start: {start}"] if start else [])
         return
     lines: list[str | Callout] = []
     for answer in answers:
-        start = f"{answer.filter} against {answer.baseline}: {shouted(answer.verdict)}"
-        tone = TONES.get(answer.verdict, "")
-        if answer.verdict == Verdict.NOT_EVALUATED:
-            lines += [Callout(start, tone), f"{answer.reason[:1].upper()}{answer.reason[1:]}. Settle this first."]
-            continue
-        lines.append(Callout(f"{start}, {evidence_text(answer)}", tone))
-        if found := would_decide(answer):
-            lines.append(f"{found[:1].upper()}{found[1:]}.")
-        lines.append(answer.predicted)
+        said = f"{answer.filter} against {answer.baseline}: {headline(answer)}"
+        lines.append(Callout(said, TONES.get(answer.verdict, "")))
+        lines += answer_lines(answer, initial, start)
+        if answer.verdict not in WITHOUT_VERDICT:
+            start = ""
+        fitted = against_control(reports, answer.filter) if answer.verdict == Verdict.NOT_EVALUATED else None
+        if fitted is not None:
+            lines.append(f"against {fitted.baseline}, whose noise is fitted: {headline(fitted)}")
     if lines:
         yield Sentences(tuple(lines))
 
 
-def _answer_table(answers: Sequence[AnyCandidate]) -> DisplayTable:
+def _answer_table(answers: Sequence[CandidateAnswer]) -> DisplayTable:
     """Return many candidates, a row each."""
     rows = []
     for answer in answers:
-        predicted = (MISSING, "") if answer.verdict == Verdict.NOT_EVALUATED else predicted_change(answer)
-        rows.append((answer.filter, shouted(answer.verdict), *evidence_cells(answer), *predicted, would_decide(answer)))
+        predicted = (MISSING, "") if answer.verdict in WITHOUT_VERDICT else predicted_change(answer)
+        warned = ", ".join(f"{label(row.quantity)} {row.verdict}" for row in answer.warnings) or answer.reason
+        acting = answer.decisive
+        acts = share_text(acting.acts) if acting is not None else MISSING
+        cells = evidence_cells(answer)
+        rows.append((answer.filter, word_of(answer), *cells, acts, answer.settling or MISSING, *predicted, warned))
     baselines = " or ".join(dict.fromkeys(answer.baseline for answer in answers))
-    header = ("filter", f"against {baselines}", "evidence", "ratio", "interval", "predicted sigma", "", "")
-    return DisplayTable("", header, "lllrrrll", tuple(rows), spare=(7, 4, 5, 6, (2, 3)))
+    header = (
+        *("filter", f"against {baselines}", "decides by", "ratio", "interval", "acts", "convergence"),
+        *("predicted sigma", "", ""),
+    )
+    return DisplayTable("", header, "lllrrrlrll", tuple(rows), spare=(6, (7, 8), 9, 5, (2, 3)))
 
 
-def _evidence_table(
-    answers: Sequence[AnyCandidate], title: str, interval: str, starts: int = 0
-) -> Iterator[DisplayTable]:
-    """Yield the evidence: of one candidate with intervals and reasons, of several side by side."""
-    evaluated = [answer for answer in answers if answer.verdict != Verdict.NOT_EVALUATED]
+def _evidence_table(answers: Sequence[CandidateAnswer], title: str) -> Iterator[DisplayTable]:
+    """Yield the evidence: of one candidate with intervals, of several side by side."""
+    evaluated = [answer for answer in answers if answer.verdict not in WITHOUT_VERDICT]
     if not evaluated or len(answers) > MOST_COLUMNS:
         return
-    rows = chosen_rows([row for answer in evaluated for row in answer.known], MOST_ROWS[len(answers)])
+    known = [row for answer in evaluated for row in answer.known]
+    is_one_dive = all(answer.dives == 1 for answer in answers)
+    rows = chosen_rows(known, MOST_ROWS_OF_DIVE if is_one_dive else MOST_ROWS[len(answers)])
     if not rows:
         return
-    footnote = over_starts(starts)
     if len(answers) > 1:
-        spoken = [row.quantity for answer in evaluated for row in spoken_rows(answer)]
-        quantities = list(dict.fromkeys([*spoken, *(row.quantity for row in rows)]))
-        yield _side_by_side(evaluated, quantities[: max(MOST_ROWS[len(answers)], len(set(spoken)))], title, footnote)
+        yield _side_by_side(evaluated, list(dict.fromkeys(row.quantity for row in rows)), title)
         return
     [answer] = answers
-    is_pooled = isinstance(rows[0], PooledRow)
-    columns: tuple[ShownColumn, ...] = (
+    columns: list[ShownColumn] = [
         (title, "l", "quantity:label"),
         ("", "l", "unit"),
         (answer.baseline, "r", "baseline:value"),
         (answer.filter, "r", "value:value"),
         ("ratio", "r", lambda row: ratio_text(row.ratio)),
-        (interval, "r", interval_text),
-        ("won", "r", lambda row: f"{row.dives_won}/{row.dives}") if is_pooled else ("n", "r", "effective_samples:0"),
-        ("p", "r", "p:significant" if is_pooled else _p_text),
-        ("", "l", verdict_with_reason),
-    )
-    folds = FOLDED * any(reason_in_words(row) for row in rows)
-    yield table_of("", rows, columns, footnote, spare=(7, 6, (1, 2, 3), 5), folds=folds)
+    ]
+    if answer.dives > 1:
+        columns += [
+            ("interval", "r", interval_text),
+            ("won", "r", lambda row: f"{row.dives_won}/{row.dives}"),
+        ]
+    columns.append(("acts", "r", "acts:share"))
+    if answer.dives > 1:
+        columns += [("", "l", verdict_in_table), ("", "l", _role_text)]
+        yield table_of("", rows, columns, VALUES_ARE, spare=(9, 7, (1, 2, 3), 6))
+    else:
+        yield table_of("", rows, columns, spare=(5, (1, 2, 3)))
 
 
-def _p_text(row: Piece) -> str:
-    """Write the p of a row on one dive; that of a row without a vote decides nothing."""
-    return decimal(row.p, 3).removeprefix("0") if may_decide(row) else ""
+VALUES_ARE: Final = "values: medians over the dives, from the starts that they had; convergence: from drawn starts"
 
 
-def _side_by_side(
-    answers: Sequence[AnyCandidate], quantities: Sequence[str], title: str, footnote: str
-) -> DisplayTable:
+def _role_text(row: PooledRow) -> str:
+    return {Role.PRIMARY: "decides", Role.SECONDARY: "can warn", Role.VETO: "can warn"}.get(Role(row.role), "")
+
+
+def _side_by_side(answers: Sequence[CandidateAnswer], quantities: Sequence[str], title: str) -> DisplayTable:
     """Return ratio and verdict of several candidates in the same quantities, with the values where there is room."""
     found = {(answer.filter, row.quantity): row for answer in answers for row in answer.known}
     cells = []
@@ -155,7 +162,7 @@ def _side_by_side(
     heads = (head for answer in answers for head in ("value", answer.filter, ""))
     header = (f"{title}: ratio", "", answers[0].baseline, *heads)
     values = (1, 2, *range(3, len(header), 3))
-    return DisplayTable("", header, f"llr{'rrl' * len(answers)}", tuple(cells), footnote, spare=(values,))
+    return DisplayTable("", header, f"llr{'rrl' * len(answers)}", tuple(cells), spare=(values,))
 
 
 # --- One dive: with one candidate at most 24 lines of 80 columns.
@@ -163,16 +170,15 @@ def _side_by_side(
 
 def dive_screen(report: Report, page: str) -> list[Part]:
     """Return the screen of one dive, whose page is at ``page``."""
-    answers = [answer_on_dive(report, name) for name in report.filters]
-    starts = max((row.starts for row in report.tables.evidence if row.evidence == "accuracy"), default=0)
+    answers = answers_of([report])
     notes = f", {counted(len(report.notes), 'note')}" if report.notes else ""
     return [
         Title(_facts(report)),
-        *_answer_parts(answers),
+        *_answer_parts(answers, initial_text(report.config), start_text([report]), [report]),
         *([] if report.filters else [line_alone(report)]),
-        *_evidence_table(answers, "evidence", "on this dive", starts),
+        *_evidence_table(answers, "this dive"),
+        *_assay_parts([report], answers),
         *_trust_lines(report),
-        *(note.text for note in report.notes if note.code == START_SOURCE),
         *headline_table(report),
         *track_fit_line(report),
         *(() if has_reference(report) else (NO_REFERENCE,)),
@@ -185,7 +191,7 @@ def _trust_lines(report: Report) -> list[str]:
     if len(report.filters) > MOST_ANSWERS:
         return []
     lines, is_far_off = [], is_noise_far_off(report.tables, report.baseline)
-    for name in (name for name, found in report.filters.items() if found.verdict != Verdict.NOT_EVALUATED):
+    for name in (name for name, found in report.filters.items() if found.verdict not in WITHOUT_VERDICT):
         sizes = " Try --control, which fits the noise." if is_far_off else ""
         nis = next((row for row in of_filter(name, report.tables.evidence) if row.quantity == "nis"), None)
         if nis is not None and len(report.filters) == 1:
@@ -228,17 +234,47 @@ def dives_screen(outcomes: Sequence[Outcome], index: str) -> list[Part]:
     reports = reports_of(outcomes)
     answers = answers_of(reports)
     pooled = [answer for answer in answers if answer.known and answer.log == EVERY_DIVE]
-    said = [f"{answer.filter} {verdict_counts(answer.filter, reports, answer.verdict)}" for answer in answers]
+    initial = initial_text(reports[0].config) if reports else ""
     return [
         Title(_facts_of_dives(outcomes)),
-        *_answer_parts(answers),
-        *(part for table in _evidence_table(pooled, "all dives", "over dives") for part in (Sentences(()), table)),
+        *(note.text for note in distinct_dives(reports)[1]),
+        *_answer_parts(answers, initial, start_text(reports), reports),
+        *(part for table in _evidence_table(pooled, "all dives") for part in (Sentences(()), table)),
         Sentences(()),
-        _dives_table(outcomes, {answer.filter: answer for answer in pooled}) if answers else table_alone(outcomes),
-        *([f"dive by dive, by all evidence: {'; '.join(said)}"] if said else []),
+        _dives_table(outcomes, {answer.filter: answer for answer in answers}) if answers else table_alone(outcomes),
+        *_assay_parts(reports, answers),
         *_consistency_counts(reports),
         Code(f"all tables: -v   page: {index}", ""),
     ]
+
+
+def _assay_parts(reports: Sequence[Report], answers: Sequence[CandidateAnswer]) -> Iterator[Part]:
+    """Yield what the dives could have shown: a table of controls by quantities, and which the primary one saw."""
+    primary = next((answer.primary for answer in answers if answer.primary), "")
+    rows = assay_of(reports, primary)
+    if not rows:
+        return
+    yield Sentences(())
+    yield assay_table(rows)
+    yield assay_line(rows)
+
+
+def assay_table(rows: Sequence[PooledRow]) -> DisplayTable:
+    """Return the ratio and the word of each control, by quantity, those that decide or can warn."""
+    shown_roles = (Role.PRIMARY, Role.SECONDARY)
+    quantities = list(dict.fromkeys(row.quantity for row in rows if row.role in shown_roles))
+    found = {(row.filter, row.quantity): row for row in rows}
+    cells = []
+    for control in dict.fromkeys(row.filter for row in rows):
+        texts = [control]
+        for quantity in quantities:
+            row = found.get((control, quantity))
+            word = verdict_in_table(row) if row is not None else ""
+            texts.append(f"{ratio_text(row.ratio)} {word}".rstrip() if row is not None else MISSING)
+        cells.append(tuple(texts))
+    header = ("control", *(label(quantity).replace(" ", "\n", 1) for quantity in quantities))
+    spare = tuple(range(len(header) - 1, 2, -1))
+    return DisplayTable("", header, f"l{'l' * len(quantities)}", tuple(cells), spare=spare)
 
 
 def _facts_of_dives(outcomes: Sequence[Outcome]) -> str:
@@ -266,63 +302,73 @@ def _consistency_counts(reports: Sequence[Report]) -> Iterator[str]:
         yield f"consistency (NIS): {'; '.join(texts)}{advice}"
 
 
-def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, AnyCandidate]) -> DisplayTable:
-    """Return a row for each dive: of each candidate the ratio and verdict in the quantity that decided over dives."""
-    reports, names, footnotes = reports_of(outcomes), candidate_names(reports_of(outcomes)), list[str]()
-    quantities, found = dict[str, str](), dict[tuple[str, str], EvidenceRow]()
-    for name in names:
-        rows = [(report.log.name, row) for report in reports for row in of_filter(name, report.tables.evidence)]
-        # The quantity that decided over the dives, or could have; else the first evidence of a dive.
-        spoken = spoken_rows(answers[name]) if name in answers else []
-        others = (row for _, row in rows if row.evidence != CONSISTENCY)
-        quantities[name] = next((row.quantity for row in (*spoken, *others)), "")
-        found |= {(dive, name): row for dive, row in rows if row.quantity == quantities[name]}
-    dives = {outcome.log if isinstance(outcome, Failure) else outcome.log.name: outcome for outcome in outcomes}
-    if len(dives) > MOST_DIVES:
-        largest = {dive: max(finite(row.ratio) for (log, _), row in found.items() if log == dive) for dive, _ in found}
-        worst = sorted(largest, key=lambda dive: -largest[dive])[:WORST]
-        failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)][:MOST_FAILED]
-        dives = {dive: outcome for dive, outcome in dives.items() if dive in (*failed, *worst)}
-        left_out = len(outcomes) - len(dives)
-        footnotes.append(f"failed dives and the {WORST} largest ratios; {left_out} more are on the page")
-    footnotes.insert(
-        0, over_starts(max((row.starts for row in found.values() if row.evidence == "accuracy"), default=0))
-    )
-    shown = {
-        dive: [_dive_cells(dives[dive], name, found.get((dive, name))) for name in names]
-        for dive in sorted(dives, key=natural_key)
-    }
+def _dives_table(outcomes: Sequence[Outcome], answers: Mapping[str, CandidateAnswer]) -> DisplayTable:
+    """Return a row for each dive: of each candidate both values and the ratio in its primary quantity."""
+    names = candidate_names(reports_of(outcomes))
+    found: dict[tuple[str, str], EvidenceRow] = {}
+    for report in reports_of(outcomes):
+        for row in report.tables.evidence:
+            if row.filter in answers and row.quantity == answers[row.filter].primary:
+                found[report.log.name, row.filter] = row
+    dives, footnote = _shown_dives(outcomes, found)
     if len(names) == 1:
-        [(name, quantity)] = quantities.items()
-        cells = tuple((dive, *own) for dive, (own,) in shown.items())
-        unit = next((f" [{row.unit}]" for row in found.values()), "")
-        footnotes.insert(1, "all dives: the median of the values" if name in answers else "")
-        if any(row[3] != MISSING == row[4] for row in cells):
-            footnotes.append(f"-: fewer than {FEWEST_SHOWN} effective samples")
-        header = (label(quantity), f"{baseline_names(reports)}{unit}", f"{name}{unit}", "ratio", "on this dive", "", "")
-        end, folds = len(header) if any(row[-1] for row in cells) else -1, FOLDED * any(": " in row[5] for row in cells)
-        cells, footnote = tuple(row[:end] for row in cells), "; ".join(filter(None, footnotes))
-        return DisplayTable("", header[:end], "lrrrrll"[:end], cells, footnote, spare=((1, 2), 4), folds=folds)
+        return _dives_of_one(dives, names[0], answers[names[0]], found, footnote)
+    quantities = {name: label(answers[name].primary) or "evidence" for name in names}
     is_same = len(set(quantities.values())) == 1
-    heads = [head for name in names for head in (name if is_same else f"{name}\n{label(quantities[name])}", "")]
-    first = label(quantities[names[0]]) if is_same else "dive by dive"
-    verdicts = tuple(range(len(heads), 0, -2)) if len(names) > MOST_COLUMNS else ()
-    cells = tuple((dive, *(text for own in rows for text in (own[2], own[4]))) for dive, rows in shown.items())
-    alignment, footnote = f"l{'rl' * len(names)}", "; ".join(filter(None, footnotes))
-    return DisplayTable("", (first, *heads), alignment, cells, footnote, spare=verdicts)
+    heads = [name if is_same else f"{name}\n{quantities[name]}" for name in names]
+    first = f"{quantities[names[0]]}: ratio" if is_same else "dive by dive: ratio"
+    cells = tuple(
+        (dive, *(_ratio_on(outcome, name, found.get((dive, name))) for name in names))
+        for dive, outcome in dives.items()
+    )
+    return DisplayTable("", (first, *heads), f"l{'r' * len(names)}", cells, footnote)
 
 
-def _dive_cells(outcome: Outcome, name: str, row: EvidenceRow | None) -> tuple[str, ...]:
-    """Write of a candidate on a dive both values, ratio, interval and verdict, and the dive's if it is another."""
-    if isinstance(outcome, Failure) or name not in outcome.filters:
-        return *[MISSING] * 4, FAILED if isinstance(outcome, Failure) else MISSING, ""
-    answer = answer_on_dive(outcome, name)
-    if answer.verdict == Verdict.NOT_EVALUATED:
-        return *[MISSING] * 4, shouted(answer.verdict), ""
-    is_other = answer.spoken and (row is None or answer.verdict != row.verdict)
-    other = f"{shouted(answer.verdict)} by {evidence_text(answer)}" if is_other else ""
-    if row is None:
-        return *[MISSING] * 5, other
-    values, interval = (significant(row.baseline, 3), significant(row.value, 3)), interval_text(row)
-    own = row.verdict if interval == MISSING else verdict_with_reason(row)
-    return *values, ratio_text(row.ratio), interval, own, other
+def _shown_dives(
+    outcomes: Sequence[Outcome], found: Mapping[tuple[str, str], EvidenceRow]
+) -> tuple[dict[str, Outcome], str]:
+    """Return the dives that have a row, by name; of many dives those that failed and those with the largest ratios."""
+    named = {outcome.log if isinstance(outcome, Failure) else outcome.log.name: outcome for outcome in outcomes}
+    dives = {name: named[name] for name in sorted(named, key=natural_key)}
+    if len(dives) <= MOST_DIVES:
+        return dives, ""
+    largest: dict[str, float] = {}
+    for (dive, _), row in found.items():
+        largest[dive] = max(largest.get(dive, 0.0), finite(row.ratio))
+    worst = sorted(largest, key=lambda dive: -largest[dive])[:WORST]
+    failed = [dive for dive, outcome in dives.items() if isinstance(outcome, Failure)][:MOST_FAILED]
+    kept = {dive: outcome for dive, outcome in dives.items() if dive in (*failed, *worst)}
+    left_out = len(outcomes) - len(kept)
+    return kept, f"failed dives and the {WORST} largest ratios; {left_out} more are on the page"
+
+
+def _dives_of_one(
+    dives: Mapping[str, Outcome],
+    name: str,
+    answer: CandidateAnswer,
+    found: Mapping[tuple[str, str], EvidenceRow],
+    footnote: str,
+) -> DisplayTable:
+    """Return the dives of one candidate, with both values, the ratio, and how far the candidate acts."""
+    cells = []
+    for dive, outcome in dives.items():
+        row = found.get((dive, name))
+        if row is None or isinstance(outcome, Failure):
+            cells.append((dive, MISSING, MISSING, _ratio_on(outcome, name, row), MISSING))
+            continue
+        acts = share_text(row.acts)
+        values = significant(row.baseline, 3), significant(row.value, 3)
+        cells.append((dive, *values, _ratio_on(outcome, name, row), acts))
+    unit = next((f" [{row.unit}]" for row in found.values()), "")
+    first = label(answer.primary) or "dive by dive"
+    header = (first, f"{answer.baseline}{unit}", f"{name}{unit}", "ratio", "acts")
+    return DisplayTable("", header, "lrrrr", tuple(cells), footnote, spare=((1, 2),))
+
+
+def _ratio_on(outcome: Outcome, name: str, row: EvidenceRow | None) -> str:
+    """Write the ratio of a candidate on a dive, or why there is none."""
+    if isinstance(outcome, Failure):
+        return FAILED
+    if name in outcome.filters and outcome.filters[name].verdict in WITHOUT_VERDICT:
+        return shouted(outcome.filters[name].verdict)
+    return MISSING if row is None else ratio_text(row.ratio)

@@ -28,6 +28,7 @@ _STYLES: Final[dict[str, str]] = {
     EvidenceVerdict.WORSE: "bold red",
     Verdict.MIXED: "bold yellow",
     Verdict.NOT_EVALUATED: "bold red",
+    Verdict.NOT_REPEATABLE: "bold red",
     GateStatus.FAILED: "bold red",
 }
 _TONES: Final = {"good": "bold green", "bad": "bold red"}

@@ -293,7 +293,7 @@ def test_a_server_that_stalled_is_not_asked_for_other_dives(
     server.logs |= {f"/{number}.mcap": LOG for number in range(8)}
     lines = [f'url = "{server.url}{path}"\nsha256 = "{SHA256}"' for path in server.logs]
     dives = fetch_dives(find_dives([manifest(tmp_path, *lines)]))
-    assert sum("stalled before" in str(dive.error) for dive in dives) == 20
+    assert sum("stalled before" in str(dive.error) for dive in dives) == 8
     assert server.asked.count("GET") == 1
 
 

@@ -1,4 +1,4 @@
-"""The answer of `compare`: each filter, new against old, by the tests of a verdict."""
+"""The answer of `compare`: each filter, new against old, by the rule of a verdict."""
 
 import dataclasses
 import math
@@ -18,26 +18,30 @@ from insdvl_replay.changes.comparison_document import answer_lines
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.result import StoredReport, StoredResult
-from insdvl_replay.core.states import COLUMNS
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.results.result_files import report_of
-from insdvl_replay.results.trajectory import Trajectory, write_trajectory
 from insdvl_replay.show.render import render
 from insdvl_replay.sim.dive import simulate_dive
 from insdvl_replay.sim.sensor_errors import DvlErrors
 
-QUANTITIES = {"drift_30s": ("accuracy", "m"), "drift_60s": ("accuracy", "m"), "outage_60s": ("outage", "m")}
+# By quantity: kind of evidence, and what a row of a dive may do.
+QUANTITIES = {
+    "position": ("track", "primary"),
+    "outage_60s": ("outage", "primary"),
+    "drift_60s": ("accuracy", "secondary"),
+    "drift_30s": ("accuracy", "shown"),
+}
 FACTORS = (1.6, 1.5, 1.7, 1.55, 1.65, 1.6, 1.5, 1.7)  # eight dives that nearly agree
 
 
-def result(name: str, factors: dict[str, float], **changes: Any) -> dict[str, Any]:
+def result(name: str, factors: dict[str, float], noise: float = 0.01, **changes: Any) -> dict[str, Any]:
     """A report whose baseline has errors of 1, and whose candidate of 0.8, times factors by quantity."""
     made = content(name, **changes)
+    [row] = made["tables"]["evidence"]
     made["tables"]["evidence"] = [
-        {"log": name, "filter": "aided", "evidence": kind, "quantity": quantity, "unit": unit,
-         "baseline": factors.get(quantity, 1.0), "value": 0.8 * factors.get(quantity, 1.0), "ratio": 0.8, "low": 0.7,
-         "high": 0.9, "effective_samples": 20.0, "starts": 16, "windows": 70, "verdict": "better"}
-        for quantity, (kind, unit) in QUANTITIES.items()
+        row | {"evidence": kind, "quantity": quantity, "baseline": factors.get(quantity, 1.0),
+               "value": 0.8 * factors.get(quantity, 1.0), "role": role, "reference_noise": noise}
+        for quantity, (kind, role) in QUANTITIES.items()
     ]  # fmt: skip
     return made
 
@@ -53,28 +57,32 @@ def answers(folder: Path, new: Sequence[dict[str, float]], scale: float = 1.0, *
     return [*compare_results(folder / "old", folder / "new").answers]
 
 
+def every(factors: Sequence[float]) -> list[dict[str, float]]:
+    """On each dive all quantities are multiplied by a factor."""
+    return [dict.fromkeys(QUANTITIES, factor) for factor in factors]
+
+
 def test_a_change_that_affects_all_filters_alike_is_found(tmp_path: Path) -> None:
-    found = answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in FACTORS])
+    found = answers(tmp_path, every(FACTORS))
     assert [(answer.filter, answer.verdict) for answer in found] == [("baseline", "worse"), ("aided", "worse")]
-    drift = found[0].rows[0]
-    assert drift.ratio == pytest.approx(math.prod(FACTORS) ** (1.0 / 8.0))
-    assert (drift.quantity, drift.dives, drift.dives_won) == ("drift_30s", 8, 0)
-    better = answers(tmp_path / "back", [dict.fromkeys(QUANTITIES, 1.0 / factor) for factor in FACTORS])
+    position = found[0].rows[0]
+    assert position.ratio == pytest.approx(math.prod(FACTORS) ** (1.0 / 8.0))
+    assert (position.quantity, position.role, position.dives, position.dives_won) == ("position", "primary", 8, 0)
+    better = answers(tmp_path / "back", every([1.0 / factor for factor in FACTORS]))
     assert {answer.verdict for answer in better} == {"better"}
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-6, 0.009])
+@pytest.mark.parametrize(("size", "verdict"), [(0.0, "no effect"), (1e-6, "equivalent"), (0.009, "equivalent")])
 @pytest.mark.parametrize("dives", [1, 2, 8])
-def test_no_effect_or_one_below_1_percent_is_equivalent(size: float, dives: int, tmp_path: Path) -> None:
-    """Even a change that all dives have to the digit."""
-    found = answers(tmp_path, [dict.fromkeys(QUANTITIES, 1.0 + size)] * dives)
-    assert {answer.verdict for answer in found} == {"equivalent"}
-    assert {row.verdict for answer in found for row in answer.rows} == {"equivalent"}
+def test_a_change_below_1_percent_is_equivalent(size: float, verdict: str, dives: int, tmp_path: Path) -> None:
+    """Even one that all dives have to the digit."""
+    found = answers(tmp_path, every([1.0 + size] * dives))
+    assert {answer.verdict for answer in found} == {verdict}
 
 
 def test_an_error_from_zero_is_no_small_change(tmp_path: Path) -> None:
     for side, error in (("old", 0.0), ("new", 5.0)):
-        made = result("dive", {"drift_30s": error})
+        made = result("dive", {"position": error})
         made["config"]["filters"] = {"aided": 3}  # as a broken report may have it
         write(tmp_path / side, made)
     found = compare_results(tmp_path / "old", tmp_path / "new").answers
@@ -82,17 +90,63 @@ def test_an_error_from_zero_is_no_small_change(tmp_path: Path) -> None:
 
 
 def test_two_dives_decide_nothing_and_the_answer_says_how_many_do(tmp_path: Path) -> None:
-    found = answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in (1.5, 1.6)])
+    found = answers(tmp_path, every([1.5, 1.6]))
     assert {answer.verdict for answer in found} == {"undecided"}
-    assert answer_lines(found)[0].text.endswith("; fewer than 3 dives; replay more dives")
+    assert answer_lines(found)[0].text.endswith("; A verdict takes 3 dives")
 
 
-def test_worse_in_one_thing_and_better_in_another_is_mixed(tmp_path: Path) -> None:
-    new = [{"drift_30s": factor, "drift_60s": factor, "outage_60s": 1.0 / factor} for factor in FACTORS]
+def test_one_dive_has_a_statement_and_no_verdict(tmp_path: Path) -> None:
+    """However large the change is, the next dive may differ."""
+    found = answers(tmp_path, every([2.0]))
+    assert {answer.verdict for answer in found} == {"undecided"}
+    assert {answer.undecided for answer in found} == {"one dive cannot tell whether the next one will be"}
+    for line in answer_lines(found):
+        assert "on this dive position 100.0 % larger; one dive cannot tell" in line.text
+        assert line.tone == ""
+
+
+@pytest.mark.parametrize(
+    ("position", "others", "verdict"),
+    [(0.7, 1.6, "mixed"), (1.6, 0.7, "worse"), (0.7, 0.7, "better"), (1.0, 1.6, "undecided"), (1.0, 0.7, "undecided")],
+)
+def test_other_quantities_can_warn_and_cannot_win(position: float, others: float, verdict: str, tmp_path: Path) -> None:
+    """Position decides: it scatters by 10 % in each case, so around 1 it is undecided whatever the others say."""
+    scatter = (0.9, 1.1, 0.95, 1.05, 1.0, 1.08, 0.92, 1.0)
+    new = [
+        dict.fromkeys(QUANTITIES, others * (0.99 + 0.02 * (number % 2))) | {"position": position * own}
+        for number, own in enumerate(scatter)
+    ]
     found = answers(tmp_path, new)
-    assert {answer.verdict for answer in found} == {"mixed"}
-    assert "drift in 30 s" in answer_lines(found)[0].text
-    assert "DVL outage 60 s" in answer_lines(found)[0].text
+    assert {answer.verdict for answer in found} == {verdict}
+    for line in answer_lines(found):
+        assert f" position {position:.2f} (" in line.text or position == 1.0
+        contradicts = verdict != "better"
+        assert ("without the DVL DVL outage 60 s" in line.text) is contradicts
+        assert ("drift in 60 s" in line.text) is contradicts
+        assert "drift in 30 s" not in line.text, "it is only shown"
+
+
+def test_the_settings_name_another_primary_quantity(tmp_path: Path) -> None:
+    for number, factor in enumerate(FACTORS):
+        for side, size in (("old", 1.0), ("new", factor)):
+            made = result(f"d{number}", {"drift_60s": 1.0 / size, "position": size, "outage_60s": 1.0 / size})
+            made["config"]["evaluation"] = {"primary": "drift_60s"}
+            write(tmp_path / side / f"d{number}", made)
+    found = compare_results(tmp_path / "old", tmp_path / "new").answers
+    assert {(answer.primary, answer.verdict) for answer in found} == {("drift_60s", "better")}
+
+
+def test_filters_are_not_equal_by_the_noise_of_the_reference(tmp_path: Path) -> None:
+    """Where noise is most of the error, an equal error says nothing of the filters."""
+    small = (1.02, 0.985, 1.01, 0.99, 1.02, 0.985, 1.01, 0.99)
+    for noise, verdict in ((0.1, "equivalent"), (0.6, "undecided")):
+        for number, factor in enumerate(small):
+            for side, size in (("old", 1.0), ("new", factor)):
+                made = result(f"d{number}", dict.fromkeys(QUANTITIES, size), noise)
+                write(tmp_path / f"{noise}" / side / f"d{number}", made)
+        baseline, _ = compare_results(tmp_path / f"{noise}" / "old", tmp_path / f"{noise}" / "new").answers
+        assert baseline.verdict == verdict
+    assert baseline.undecided == "most of the error is noise of the reference"
 
 
 def test_a_filter_that_is_no_longer_evaluated_is_counted(tmp_path: Path) -> None:
@@ -102,10 +156,9 @@ def test_a_filter_that_is_no_longer_evaluated_is_counted(tmp_path: Path) -> None
 
 
 def test_the_most_common_reason_says_why_a_filter_is_not_evaluated(tmp_path: Path) -> None:
-    sentence = "aided is NOT EVALUATED against baseline: aided rejected {} of 300 pings. Settle this first. More."
+    reason = "aided rejected {} of 300 pings"
     for number, rejected in enumerate((200, 200, 100)):
-        made = result(f"d{number}", {}, filter_verdict="not evaluated")
-        made["filters"]["aided"]["sentence"] = sentence.format(rejected)
+        made = result(f"d{number}", {}, filter_verdict="not evaluated", reason=reason.format(rejected))
         for side, window in (("old", 3), ("new", 5)):
             made["config"]["filters"]["aided"]["window"] = window
             made["tables"]["evidence"][0]["value"] = float(window)
@@ -113,50 +166,45 @@ def test_the_most_common_reason_says_why_a_filter_is_not_evaluated(tmp_path: Pat
     found = compare_results(tmp_path / "old", tmp_path / "new").answers
     assert {answer.verdict for answer in found} == {"not evaluated"}
     assert answer_lines(found)[1].text.endswith("evaluated in only 0 of 3 dives: aided rejected 200 of 300 pings")
-    assert "aided rejected 200 of 300 pings. Settle this first." in found[1].sentence
 
 
-def trajectory(seed: int, position_m: float, velocity_mps: float) -> Trajectory:
-    """Both filters with white errors of these sizes, once a second for an hour."""
-    rng, time_s = np.random.default_rng(seed), np.arange(3600.0)
-    values = np.zeros((2, len(time_s), len(COLUMNS)))
-    values[:, :, COLUMNS.index("position_error_m")] = position_m * np.abs(rng.standard_normal(len(time_s)))
-    values[:, :, COLUMNS.index("velocity_error_mps")] = velocity_mps * np.abs(rng.standard_normal(len(time_s)))
-    return Trajectory("", ("baseline", "aided"), time_s, values)
-
-
-@pytest.mark.parametrize(
-    ("position", "velocity", "verdict"), [(1.0, 1.5, "worse"), (1.0, 0.5, "better"), (1.5, 0.5, "mixed")]
-)
-def test_one_dive_is_compared_over_its_time(position: float, velocity: float, verdict: str, tmp_path: Path) -> None:
-    for seed, (side, factors) in enumerate((("old", (1.0, 1.0)), ("new", (position, velocity)))):
-        folder = write(tmp_path / side, result("dive", dict.fromkeys(QUANTITIES, factors[1])))
-        write_trajectory(folder / "trajectory.npz", trajectory(seed, factors[0], 0.02 * factors[1]))
-    found = compare_results(tmp_path / "old", tmp_path / "new").answers
-    assert [answer.verdict for answer in found] == [verdict] * 2
-    rows = {row.quantity: row for row in found[0].rows[:2]}
-    assert rows["velocity"].ratio == pytest.approx(velocity, rel=0.05)
-    assert rows["velocity"].value == pytest.approx(velocity * (rows["velocity"].baseline or 0.0), rel=0.05)
-
-
-def test_one_dive_without_a_trajectory_is_undecided(tmp_path: Path) -> None:
-    assert {answer.verdict for answer in answers(tmp_path, [dict.fromkeys(QUANTITIES, 2.0)])} == {"undecided"}
-
-
-def test_one_filter_alone_is_compared_by_its_drift_and_outages(tmp_path: Path) -> None:
+def test_one_filter_alone_is_compared_by_its_position_its_drift_and_its_outages(tmp_path: Path) -> None:
     for number, factor in enumerate(FACTORS):
         for side, size in (("old", 1.0), ("new", factor)):
             made = content(f"d{number}") | {"filters": {}}
+            row = {"log": "d", "filter": "baseline"}
             made["tables"] = {
-                "drift": [{"log": "d", "filter": "baseline", "quantity": "drift_60s", "unit": "m", "rms": size}],
-                "outage": [{"log": "d", "filter": "baseline", "window_s": "60", "drift_rms_m": size}],
+                "drift": [row | {"quantity": name, "unit": "m", "rms": size} for name in ("position_h", "drift_60s")],
+                "outage": [row | {"window_s": "60", "windows": 2, "drift_rms_m": size}],
                 "evidence": [],
                 "improvement": made["tables"]["improvement"],
             }
             write(tmp_path / side / f"d{number}", made)
     (answer,) = compare_results(tmp_path / "old", tmp_path / "new").answers
-    assert (answer.filter, answer.verdict) == ("baseline", "worse")
-    assert [row.quantity for row in answer.rows] == ["drift_60s", "outage_60s"]
+    assert (answer.filter, answer.primary, answer.verdict) == ("baseline", "position", "worse")
+    assert {row.quantity: row.role for row in answer.rows} == {
+        "position": "primary", "outage_60s": "secondary", "drift_60s": "secondary",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(("windows", "verdict"), [(2, "worse without DVL"), (1, "undecided")])
+def test_without_a_reference_of_its_own_outages_with_two_windows_decide(
+    windows: int, verdict: str, tmp_path: Path
+) -> None:
+    for number, factor in enumerate(FACTORS):
+        for side, size in (("old", 1.0), ("new", factor)):
+            made = content(f"d{number}") | {"filters": {}}
+            made["config"]["reference"] = {"independent": False}
+            row = {"log": "d", "filter": "baseline"}
+            made["tables"] = {
+                "drift": [row | {"quantity": "position_h", "unit": "m", "rms": size}],
+                "outage": [row | {"window_s": "60", "windows": windows, "drift_rms_m": size}],
+                "evidence": [],
+                "improvement": made["tables"]["improvement"],
+            }
+            write(tmp_path / side / f"d{number}", made)
+    (answer,) = compare_results(tmp_path / "old", tmp_path / "new").answers
+    assert answer.verdict == verdict
 
 
 # --- The command.
@@ -165,7 +213,7 @@ def test_one_filter_alone_is_compared_by_its_drift_and_outages(tmp_path: Path) -
 def test_the_first_lines_are_the_settings_that_differ_and_the_answers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in FACTORS], scale=1.02)
+    answers(tmp_path, every(FACTORS), scale=1.02)
     old, new = str(tmp_path / "old"), str(tmp_path / "new")
     assert run_command_line(["compare", old, new]) == 0
     first, *lines = capsys.readouterr().out.splitlines()
@@ -179,18 +227,18 @@ def test_the_first_lines_are_the_settings_that_differ_and_the_answers(
 
 
 def test_fail_on_worse_fails_on_the_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    worse, better = ([dict.fromkeys(QUANTITIES, factor**sign) for factor in FACTORS] for sign in (1, -1))
+    worse, better = (every([factor**sign for factor in FACTORS]) for sign in (1, -1))
     for name, new, code in (("worse", worse, 1), ("better", better, 0), ("same", [{}] * 8, 0)):
         answers(tmp_path / name, new)
         sides = str(tmp_path / name / "old"), str(tmp_path / name / "new")
         assert run_command_line(["compare", *sides, "-q", "--fail-on", "worse"]) == code
-        assert ("is WORSE than before" in capsys.readouterr().err) is bool(code)
+        assert ("baseline against before: WORSE, position 1.60" in capsys.readouterr().err) is bool(code)
 
 
 def test_a_page_has_a_forest_plot_of_each_filter(tmp_path: Path) -> None:
     from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 
-    answers(tmp_path, [dict.fromkeys(QUANTITIES, factor) for factor in FACTORS])
+    answers(tmp_path, every(FACTORS))
     found = compare_results(tmp_path / "old", tmp_path / "new")
     page = render(comparison_result(found, comparison_document(found)), "html")
     assert page.count('<section class="candidate worse">') == 2
@@ -239,4 +287,4 @@ def test_equal_changes_are_seldom_better_or_worse_and_harm_is_found(tmp_path: Pa
     for harmed in (noisy, scaled):
         for count in words(old, harmed, 20):
             assert count["worse"] >= 19, count
-    assert {answer.verdict for answer in answers_of(list(zip(old, old, strict=True)))} == {"equivalent"}
+    assert {answer.verdict for answer in answers_of(list(zip(old, old, strict=True)))} == {"no effect"}

@@ -22,7 +22,7 @@ from insdvl_replay.changes.comparison import Comparison, aggregates, compare_res
 from insdvl_replay.changes.comparison_document import comparison_document, comparison_result
 from insdvl_replay.cli import run_command_line
 from insdvl_replay.core.errors import ConfigError, ResultError
-from insdvl_replay.core.quantities import DECIDING_TOGETHER
+from insdvl_replay.core.quantities import PRIMARIES, SECONDARIES
 from insdvl_replay.core.result import DisplayTable, as_json
 from insdvl_replay.core.tables import LAYOUTS
 from insdvl_replay.show.page import page
@@ -309,8 +309,8 @@ def test_a_page_has_the_answers_first_and_every_cell(tmp_path: Path) -> None:
     comparison = only_changed(compare_results(*two_sets(tmp_path)))
     parts = comparison_document(comparison, values=True)
     document = Document(page(parts).decode())
-    assert [text for text in document.texts["p"] if text.isupper()] == ["EQUIVALENT"] * 2
-    assert "1 better, 2 worse; 93 of 96 values are the same up to the last printed digit" in document.texts["p"]
+    assert [text for text in document.texts["p"] if text.isupper()] == ["NO EFFECT"] * 2
+    assert "1 better, 2 worse; 90 of 93 values are the same up to the last printed digit" in document.texts["p"]
     tables = [part for part in parts if isinstance(part, DisplayTable)]
     assert document.texts["h3"][-len(tables) :] == [table.title for table in tables]
     assert {cell for table in tables for row in table.rows for cell in row} <= set(document.texts["td"])
@@ -439,8 +439,8 @@ def test_json_is_read_back_as_the_comparison(tmp_path: Path) -> None:
     assert msgspec.json.decode(as_json(comparison), type=Comparison) == comparison
     document = json.loads(as_json(comparison))
     # Of each dive 6 cells of the candidate, 2 x 3 of improvement, 2 x 4 of convergence, 5 of errors, 3 of
-    # consistency, 4 of evidence.
-    assert document["counts"] == {"better": 1, "worse": 2, "same": 93, "changed": 0, "new": 0, "gone": 0}
+    # consistency, 3 of evidence.
+    assert document["counts"] == {"better": 1, "worse": 2, "same": 90, "changed": 0, "new": 0, "gone": 0}
 
 
 def test_csv_has_five_parts_and_numbers_in_full(tmp_path: Path) -> None:
@@ -489,8 +489,9 @@ def test_pages_for_documents_hold_the_rows(
 def test_real_results_are_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "dive.mcap"
     assert run_command_line(["simulate", "straight", "-o", str(log), "--duration", "60"]) == 0
+    noise = ["--preset", "fog", "--set", "dvl.beam_sd_mps=0.006"]
     wider = ["--set", "filters.aided.acceleration.window=5"]
-    for folder, settings in (("old", []), ("again", []), ("new", wider)):
+    for folder, settings in (("old", noise), ("again", noise), ("new", noise + wider)):
         assert run_command_line(["run", str(log), "-o", str(tmp_path / folder), *settings]) == 0
     capsys.readouterr()
     old, again, new = (str(tmp_path / folder) for folder in ("old", "again", "new"))
@@ -581,11 +582,8 @@ def test_in_brief_the_same_is_left_out_and_the_rest_counted(tmp_path: Path) -> N
 
 
 def evidence_row(value: float) -> dict[str, Any]:
-    return {
-        "log": "dive", "filter": "aided", "evidence": "accuracy", "quantity": "drift_30s", "unit": "m",
-        "baseline": 1.0, "value": value, "ratio": value, "low": 0.5, "high": 1.5, "effective_samples": 9.0,
-        "starts": 16, "windows": 60, "verdict": "undecided",
-    }  # fmt: skip
+    [row] = content()["tables"]["evidence"]
+    return row | {"evidence": "accuracy", "quantity": "drift_30s", "value": value, "ratio": value, "role": "shown"}
 
 
 def test_in_brief_evidence_that_moved_has_old_and_new(tmp_path: Path) -> None:
@@ -596,22 +594,28 @@ def test_in_brief_evidence_that_moved_has_old_and_new(tmp_path: Path) -> None:
 
 
 def test_in_brief_two_runs_of_eight_dives_fit_40_lines(tmp_path: Path) -> None:
-    """One setting of one filter changed: every piece of evidence of that filter moved."""
+    """One setting of one filter changed: position is better, and every quantity that can warn is worse."""
     names = [quantity for layout in LAYOUTS if layout.name == "evidence" for quantity in layout.rows]
+    warning = [quantity for kind in SECONDARIES.values() for quantity in kind]
+    roles = dict.fromkeys(warning, "secondary") | dict.fromkeys(PRIMARIES, "primary")
     for number in range(8):
-        for side, factor, window in (("old", 1.0, 3), ("new", 0.9, 5)):
+        for side, factor, window in (("old", 1.0, 3), ("new", 0.8, 5)):
             made = content(f"dive_{number}", window=window)
-            rows = [evidence_row(0.8 * factor) | {"log": f"dive_{number}", "quantity": name} for name in names]
-            made["tables"]["evidence"] = rows
+            made["tables"]["evidence"] = [
+                evidence_row(factor if name == "position" else 1.0 / factor)
+                | {"log": f"dive_{number}", "quantity": name, "role": roles.get(name, "shown")}
+                for name in names
+            ]
             write(tmp_path / side / f"dive_{number}", made)
     comparison = only_changed(compare_results(tmp_path / "old", tmp_path / "new"))
+    assert comparison.answers[1].verdict == "mixed"
     console = Console(width=80, file=io.StringIO(), record=True)
     console.print(for_terminal(comparison_document(comparison)))
     lines = console.export_text().strip().split("\n")
-    deciding = [name for name in names if name in DECIDING_TOGETHER]
-    assert len(deciding) > 15
+    assert len(names) > 20
     assert len(lines) <= 40
-    assert sum(line.startswith("aided ") for line in lines) == 1 + len(deciding)
+    rows = 1 + len(SECONDARIES) + 1  # the one that decides, one of each kind that can warn, and the prediction
+    assert sum(line.startswith("aided ") for line in lines) == 1 + rows
 
 
 def test_in_brief_the_distance_of_a_nis_from_1_is_shown(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import math
 import re
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +11,8 @@ import msgspec
 import pytest
 from small_results import content, nudged
 
-from insdvl_replay.changes.gate_file import CellGate, load_gates, require_known_filters
-from insdvl_replay.changes.gates import gate_findings
+from insdvl_replay.changes.gate_file import CellGate, Checked, load_gates, require_known_filters
+from insdvl_replay.changes.gates import gate_findings, pooled_dive
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import StoredReport
 
@@ -125,7 +126,7 @@ def test_lines_are_found_behind_comments_that_end_in_a_comma(tmp_path: Path) -> 
     assert load_gates(path).lines["a"] == 4
 
 
-@pytest.mark.parametrize(("table", "column"), [("evidence", "why"), ("filters", "sentence"), ("consistency", "why")])
+@pytest.mark.parametrize(("table", "column"), [("filters", "reason"), ("filters", "sentence"), ("consistency", "why")])
 def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
     table: str, column: str, tmp_path: Path
 ) -> None:
@@ -135,7 +136,7 @@ def test_a_gate_on_prose_is_refused_with_the_columns_that_can_have_gates(
         load_gates(path)
     hinted = re.findall(r"\w+", raised.value.hint)
     assert {"verdict", "sd"} & {*hinted}
-    assert not {"why", "sentence"} & {*hinted}
+    assert not {"why", "reason", "sentence"} & {*hinted}
 
 
 def test_an_expected_value_needs_a_column_that_can_be_worse(tmp_path: Path) -> None:
@@ -380,24 +381,27 @@ def test_an_allowance_may_be_used_up_but_for_digits_that_differ_between_processo
         ("equivalent", ["better", "equivalent"], True),
         ("undecided", ["better", "equivalent"], False),
         ("worse", ["better", "equivalent", "undecided"], False),
+        ("better without DVL", "better", False),
         ("", ["better", "equivalent", "undecided", ""], False),
     ],
 )
-def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], passed: bool) -> None:
-    keys = {"table": "evidence", "row": "drift_30s", "column": "verdict", "equals": wanted}
-    assert passes(gate(**keys), stored(evidence_verdict=word)) is passed
+def test_a_gate_on_a_verdict_wants_a_word(word: str, wanted: str | list[str], passed: bool) -> None:
+    keys = {"table": "filters", "column": "verdict", "equals": wanted}
+    assert passes(gate(**keys), stored(filter_verdict=word)) is passed
 
 
 @pytest.mark.parametrize(
     "keys",
     [
-        {"table": "evidence", "column": "verdict", "equals": ["better", "equivalent", "undecided", "worse", ""]},
+        {"table": "evidence", "column": "value", "max": 1e9},
         {"table": "evidence", "column": "ratio", "max": 1e9},
+        {"table": "evidence", "column": "acts", "max": 1e9},
+        {"table": "evidence", "column": "moves", "max": 1e9},
         {"table": "filters", "column": "prediction", "equals": ["confirmed", "undecided", "not confirmed"]},
         {
             "table": "filters",
             "column": "verdict",
-            "equals": ["better", "mixed", "equivalent", "undecided", "worse"],
+            "equals": ["better", "mixed", "equivalent", "no effect", "undecided", "worse"],
         },
         {"table": "outage", "column": "ratio_to_baseline", "max": 1e9},
         {"table": "outage", "column": "windows_won_pct", "min": 0.0},
@@ -405,16 +409,74 @@ def test_a_gate_on_evidence_wants_a_word(word: str, wanted: str | list[str], pas
     ],
     ids=lambda keys: f"{keys['table']}-{keys['column']}",
 )
-@pytest.mark.parametrize("word", ["better", ""])
-def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(keys: dict[str, Any], word: str) -> None:
-    """Even where a report of another version has left a word beside it."""
-    report = stored(filter_verdict="not evaluated", prediction="undecided", evidence_verdict=word)
+def test_nothing_that_speaks_of_gain_passes_for_a_filter_that_is_not_evaluated(keys: dict[str, Any]) -> None:
+    report = stored(filter_verdict="not evaluated", prediction="undecided")
     row = {"log": "dive", "filter": "aided"}
     report.tables["outage"] = [row | {"window_s": "30", "ratio_to_baseline": 0.8, "windows_won_pct": 90.0}]
     report.tables["drift"] = [row | {"quantity": "drift_60s", "unit": "m", "p95": 0.5}]
     assert not passes(gate(**keys), report)
-    report.filters["aided"]["verdict"] = "better"
-    assert passes(gate(**keys), report) is (word != "" or keys["table"] != "evidence" or keys["column"] != "verdict")
+    report.filters["aided"]["verdict"] = "undecided"
+    assert passes(gate(**keys), report)
+
+
+# --- The pooled evidence.
+
+
+def pooled(
+    ratios: Sequence[float], *others: str, verdicts: Sequence[str] = ("undecided",) * 9, **settings: str
+) -> StoredReport:
+    """Several dives together, with these ratios of position and drift; all other candidates have the same."""
+    dives = []
+    for number, (ratio, word) in enumerate(zip(ratios, verdicts, strict=False)):
+        made = content(f"d{number}", filter_verdict=word)
+        [position] = made["tables"]["evidence"]
+        drift = {"evidence": "accuracy", "quantity": "drift_60s", "role": "secondary"}
+        rows = [position | {"value": ratio, "ratio": ratio}, position | drift | {"value": ratio, "ratio": ratio}]
+        made["tables"]["evidence"] = [row | {"filter": name} for name in ("aided", *others) for row in rows]
+        made["filters"] |= dict.fromkeys(others, made["filters"]["aided"])
+        made["config"]["evaluation"] = settings
+        dives.append(Checked(msgspec.convert(made, StoredReport), Path(f"d{number}")))
+    found = pooled_dive(dives).result
+    assert isinstance(found, StoredReport)
+    return found
+
+
+SURELY_SMALLER = (0.70, 0.72, 0.71, 0.69)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "passed"),
+    [(SURELY_SMALLER, True), (SURELY_SMALLER[:2], False), (SURELY_SMALLER[:1], False), ((0.7, 1.2, 0.8, 1.1), False)],
+)
+@pytest.mark.parametrize("keys", [{"column": "verdict", "equals": "better"}, {"column": "p", "max": 0.01}])
+def test_all_dives_together_pass_only_with_an_interval(
+    keys: dict[str, Any], ratios: Sequence[float], passed: bool
+) -> None:
+    """One dive or two have neither an interval nor a p, so no limit of p can pass."""
+    limit = gate(table="pooled", row="position", **keys)
+    assert passes(limit, pooled(ratios)) is passed
+    if len(ratios) < 3 and "max" in keys:
+        assert "is empty" in why(limit, pooled(ratios))
+
+
+def test_dives_without_an_evaluation_are_not_pooled() -> None:
+    found = pooled((*SURELY_SMALLER, 5.0), verdicts=("undecided",) * 4 + ("not evaluated",))
+    assert passes(gate(table="pooled", row="position", column="dives", equals=4), found)
+    assert passes(gate(table="pooled", row="position", column="verdict", equals="better"), found)
+
+
+def test_pooled_evidence_is_that_of_the_settings() -> None:
+    """The quantity that decides, and the share of the error rate, are those of the screen of several dives."""
+    usual, named = pooled(SURELY_SMALLER), pooled(SURELY_SMALLER, primary="drift_60s")
+    for row, roles in (("position", ("primary", "shown")), ("drift_60s", ("secondary", "primary"))):
+        for found, role in zip((usual, named), roles, strict=True):
+            assert passes(gate(table="pooled", row=row, column="role", equals=role), found), (row, role)
+    shared, chosen = (pooled(SURELY_SMALLER, "second", **one) for one in ({}, {"candidate": "second"}))
+    for found, aided_pct, second_pct in ((usual, 95.0, None), (shared, 97.5, 97.5), (chosen, 95.0, 95.0)):
+        rows = [row for row in found.tables["pooled"] if row["role"] == "primary"]
+        levels = {row["filter"]: row["level_pct"] for row in rows}
+        expected = {"aided": aided_pct} | ({"second": second_pct} if second_pct else {})
+        assert levels == pytest.approx(expected)
 
 
 def test_the_baseline_has_a_drift_of_its_own_whatever_becomes_of_a_candidate() -> None:

@@ -125,7 +125,8 @@ def test_code_that_ends_its_process_fails_one_dive_and_is_named(
 ) -> None:
     (tmp_path / "leaving.py").write_text(LEAVING)
     monkeypatch.syspath_prepend(str(tmp_path))
-    settings = ["--starts", "1", "--allow-code", "--set", "filters.aided.noise_factors=leaving:Noise"]
+    noise = ["--preset", "fog", "--set", "dvl.beam_sd_mps=0.006"]
+    settings = ["--starts", "1", "--allow-code", *noise, "--set", "filters.aided.noise_factors=leaving:Noise"]
     dives = [str(DIVE), str(DIVE.with_name("outage.mcap"))]
     assert run_command_line(["run", *dives, "-o", str(tmp_path), "--jobs", "2", *settings]) == 3
     said = capsys.readouterr().err

@@ -17,14 +17,15 @@ DOCUMENTED = {
     "run": [
         "LOG...", "-o, --output DIR", "-c, --config FILE", "--preset NAME", "--start T", "--end T", "--set KEY=VALUE",
         "--starts K", "--format <table|json|csv|md|latex|html>", "--table NAME",
-        "--allow-damaged", "--offline", "--allow-code", "--one-dive", "--control", "--tum", "--kml", "--geojson",
-        "--history <csv|parquet>", "--lake DIR", "--against KEY=VALUE", "--fail-on worse|P%", "--strict",
+        "--allow-damaged", "--offline", "--allow-code", "--one-dive", "--assay", "--control",
+        "--tum", "--kml", "--geojson",
+        "--history <csv|parquet>", "--lake DIR", "--against KEY=VALUE", "--fail-on worse|undecided|P%", "--strict",
         "--jobs N", "--scheduler ADDR",
         "--rerun", "--force", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>", "-h, --help",
     ],
     "compare": [
         "OLD", "NEW", "--dive NAME", "--table NAME", "--column NAME", "--pair OLD=NEW", "--tolerance P%",
-        "--only-changed", "--all", "--fail-on worse|P%",
+        "--only-changed", "--all", "--fail-on worse|undecided|P%",
         "--format <table|json|csv|md|latex|html>", "-v, --verbose", "-q, --quiet", "--color <auto|always|never>",
         "-h, --help",
     ],
@@ -34,6 +35,9 @@ DOCUMENTED = {
         "--format <text|md|json|junit|github|html>", "--output FILE", "--summary-file FILE", "--only GATE",
         "--skip GATE", "--shard I/N", "--keep-histories", "--jobs N", "--scheduler ADDR",
         "--rerun", "-v, --verbose", "-q, --quiet", "-h, --help",
+    ],
+    "plan": [
+        "RESULTS", "--format <table|json|csv|md|latex>", "-v, --verbose", "--color <auto|always|never>", "-h, --help",
     ],
     "inspect": [
         "LOG...", "--deep", "--propose FILE", "-c, --config FILE", "--preset NAME", "--set KEY=VALUE",

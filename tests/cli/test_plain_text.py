@@ -156,7 +156,9 @@ def test_run_and_its_folder(hostile: Path) -> None:
             assert_plain(text)
     _, told = said(["run", dive, "--rerun", "-vv"], hostile, 0)
     assert len(told.splitlines()) == len(
-        re.findall(r"^(?:info|warning|wrote|assumed|found|to repeat it|`insdvl-replay)\b", told, re.MULTILINE)
+        re.findall(
+            r"^(?:info|warning|wrote|assumed|found|to repeat it|processor time|`insdvl-replay)\b", told, re.MULTILINE
+        )
     )
     result = hostile / "replay" / DIVE
     log = (result / "run.log").read_text("utf-8")

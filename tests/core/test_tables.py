@@ -8,9 +8,8 @@ from row_messages import message_definition
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.states import SENSORS
-from insdvl_replay.core.tables import LAYOUTS, TABLES, TableLayout, each_table
+from insdvl_replay.core.tables import LAYOUTS, TABLES, EvidenceRow, PooledRow, TableLayout, each_table
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation import verdicts
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import simulate_dive
 
@@ -30,21 +29,29 @@ def test_the_tables_have_these_names_keys_and_primary_columns() -> None:
         ("drift", "quantity", "p50"),
         ("track_fit", "quantity", "fitted"),
         ("jumps", "filter", "jumps"),
+        ("assay", "quantity", "ratio"),
     ]
 
 
-def test_every_verdict_has_a_sentence_and_a_rank() -> None:
+def test_every_verdict_has_a_rank() -> None:
     candidates, *_ = LAYOUTS
-    assert {*candidates.words["verdict"]} == {*verdicts.AGAINST, Verdict.NOT_EVALUATED} == {*Verdict}
+    assert candidates.words["verdict"] == tuple(Verdict)
+
+
+def test_a_row_of_one_dive_has_no_word_and_no_interval() -> None:
+    """One dive cannot tell whether the next one will be; both are in the rows over dives alone."""
+    of_dive, over_dives = ({*row.__struct_fields__} for row in (EvidenceRow, PooledRow))
+    assert over_dives - of_dive >= {"low", "high", "low_always", "high_always", "p", "scatter", "verdict"}
+    assert of_dive >= {"baseline", "value", "ratio", "moves", "acts", "reference_noise", "role"}
 
 
 _OTHERS = "|".join(("beam_", "parity", "held_out_", *SENSORS))
 OF_MORE = {
     "credibility": re.compile("position"),
     "consistency": re.compile(_OTHERS),
-    "evidence": re.compile("held_out_"),
+    "evidence": re.compile("held_out_|position_crps|position_drawn_heading"),
 }
-"""Rows of filters with more states, or more sensors."""
+"""Rows of filters with more states, with more sensors, or that depend on the heading at the start."""
 
 
 @pytest.mark.all_starts
@@ -53,8 +60,9 @@ def test_a_replay_has_the_rows_that_its_layouts_name() -> None:
     replay = replay_dive(simulate_dive("straight", seed=1, duration_s=200.0), Config())
     longer = {f"outage_{length}s" for length in (60, 120, 300)} | {"60", "120", "300"}
     assert replay.tables.jumps == []  # neither filter has a position that could
+    assert replay.tables.assay == []  # it is of `run --assay` alone
     for layout, rows in each_table(replay.tables):
-        if layout.name == "jumps":
+        if layout.name in ("jumps", "assay"):
             continue
         of_others = longer | {
             name for name in layout.rows if layout.name in OF_MORE and OF_MORE[layout.name].match(name)

@@ -33,31 +33,32 @@ FINE = ("velocity", 1.0, "consistent")
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "values", "word"),
+    ("before", "after", "values", "ratio"),
     [
-        ([("velocity", 0.01, "conservative"), ("attitude", 3.0, "overconfident")], [FINE], (3.0, 1.0), "better"),
-        ([FINE], [("velocity", 0.01, "conservative"), ("attitude", 1.5, "overconfident")], (1.0, 1.5), "worse"),
+        ([("velocity", 0.01, "conservative"), ("attitude", 3.0, "overconfident")], [FINE], (3.0, 1.0), 1.0 / 3.0),
+        ([FINE], [("velocity", 0.01, "conservative"), ("attitude", 1.5, "overconfident")], (1.0, 1.5), 1.5),
         (
             [FINE],
             [FINE, ("attitude", 0.05, "conservative"), ("gyro_bias", 0.1, "conservative")],
             (1.0, 0.1),
-            "worse",
+            10.0,
         ),
         (
             [FINE, ("attitude", 9.0, "insufficient data")],
             [FINE, ("attitude", 0.1, "insufficient data")],
             (1.0, 1.0),
-            "equivalent",
+            1.0,
         ),
-        ([("velocity", 9.0, "insufficient data")], [FINE], (9.0, 1.0), "undecided"),
+        ([("velocity", 9.0, "insufficient data")], [FINE], (9.0, 1.0), 1.0 / 9.0),
     ],
 )
-def test_gravest_group_of_errors_decides(
-    before: list[Group], after: list[Group], values: tuple[float, float], word: str
+def test_gravest_group_of_errors_stands_for_a_filter(
+    before: list[Group], after: list[Group], values: tuple[float, float], ratio: float
 ) -> None:
     row = consistency(before=before, after=after)["nees"]
     assert (row.baseline, row.value) == pytest.approx(values)
-    assert row.verdict == word
+    # Of the distances from 1, to either side.
+    assert (row.ratio, row.role) == (pytest.approx(ratio), "shown")
 
 
 def test_no_group_that_was_compared_gives_no_row() -> None:
@@ -70,4 +71,4 @@ def test_rejected_pings_count_against_the_filter_that_rejects_them() -> None:
     gated = history("aided", surprised, surprised < GATE)
     row = consistency(consistency_table("dive", (history("baseline", np.full(300, 3.0)), gated), {}))["nis"]
     assert (row.baseline, row.value) == pytest.approx((1.0, (2.0 * 3.0 + GATE) / 9.0))
-    assert row.verdict == "worse"
+    assert row.ratio == pytest.approx((2.0 * 3.0 + GATE) / 9.0)

@@ -13,12 +13,11 @@ from insdvl_replay.evaluation.drift import (
     course_errors,
     distance_segments,
     drift_table,
-    segment_drift,
+    segment_change,
     time_segments,
     track_fit_table,
 )
-from insdvl_replay.evaluation.reference_errors import DrawnErrors, ReferenceErrors, reference_distance_m, where_known
-from insdvl_replay.evaluation.series import paired_ratio
+from insdvl_replay.evaluation.reference_errors import ReferenceErrors, reference_distance_m
 from insdvl_replay.geometry.frames import moved_position
 
 SECOND = 1_000_000_000
@@ -54,23 +53,27 @@ def going(k: int, velocity_n: Floats) -> ReferenceColumns:
     )
 
 
+def horizontal_m(change_ned_m: Floats) -> Floats:
+    """Return the lengths of horizontal changes, shape (m,)."""
+    return np.asarray(np.hypot(change_ned_m[:, 0], change_ned_m[:, 1]))
+
+
 # --- Segments and what is lost inside them.
 
 
 def test_error_that_grows_evenly_drifts_alike_over_every_segment() -> None:
     errors = errors_of(growing(400, (0.03, -0.04, 0.01)))
-    drift = segment_drift(errors, time_segments(errors.time_ns))
-    assert len(drift.horizontal_m) == 68, "starts every 5 s, as long as 60 s are left"
-    np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
-    np.testing.assert_allclose(drift.down_m, 0.6, atol=1e-9)
+    drift = segment_change(errors, time_segments(errors.time_ns))
+    assert len(horizontal_m(drift)) == 68, "starts every 5 s, as long as 60 s are left"
+    np.testing.assert_allclose(horizontal_m(drift), 3.0, atol=1e-9)
+    np.testing.assert_allclose(drift[:, 2], 0.6, atol=1e-9)
     segments = time_segments(errors.time_ns)
-    assert segments.steps == 12
     np.testing.assert_array_equal(errors.time_ns[segments.last] - errors.time_ns[segments.first], 60 * SECOND)
 
 
 def test_error_that_stays_is_no_drift() -> None:
     errors = errors_of(np.full((200, 3), 7.0))
-    assert not segment_drift(errors, time_segments(errors.time_ns)).horizontal_m.any()
+    assert not segment_change(errors, time_segments(errors.time_ns)).any()
 
 
 def test_correction_of_the_position_is_no_drift() -> None:
@@ -78,27 +81,15 @@ def test_correction_of_the_position_is_no_drift() -> None:
     dead_reckoned = growing(400, (0.03, -0.04, 0.01))
     corrected = dead_reckoned - np.where(np.arange(400)[:, None] < 200, 0.0, 0.5 * dead_reckoned[200])
     errors = replace(errors_of(corrected), drifting_ned_m=dead_reckoned)
-    drift = segment_drift(errors, time_segments(errors.time_ns))
-    np.testing.assert_allclose(drift.horizontal_m, 3.0, atol=1e-9)
-
-
-def test_runs_are_compared_where_a_single_run_says_something() -> None:
-    position_m = growing(400, (0.03, -0.04, 0.01))
-    known = np.arange(400)[:, None, None] % 2 == 0
-    none, twelve = np.zeros((2, 400, 3)), np.zeros((2, 400, 12))
-    drawn = DrawnErrors("a", TIME_NS, TIME_S, none + position_m, none, twelve, twelve[0], none + 2.0 * position_m)
-    single = replace(drawn, position_error_ned_m=np.where(known[:, 0], position_m, np.nan)[None])
-    blind = where_known(drawn, single)
-    np.testing.assert_array_equal(np.isnan(blind.drifting_ned_m), np.isnan(blind.position_error_ned_m))
-    np.testing.assert_array_equal(blind.drifting_ned_m[:, ::2], 2.0 * position_m[::2] + none[:, ::2])
-    assert np.isnan(blind.position_error_ned_m[:, 1::2]).all()
+    drift = segment_change(errors, time_segments(errors.time_ns))
+    np.testing.assert_allclose(horizontal_m(drift), 3.0, atol=1e-9)
 
 
 def test_random_walk_drifts_by_the_root_of_the_time() -> None:
     walk = np.cumsum(0.1 * np.random.default_rng(1).standard_normal((40_000, 3)), axis=0)
-    drift = segment_drift(errors_of(walk), time_segments(errors_of(walk).time_ns))
-    assert np.mean(drift.horizontal_m**2) == pytest.approx(2.0 * 60.0 * 0.01, rel=0.1)
-    assert np.mean(drift.down_m**2) == pytest.approx(60.0 * 0.01, rel=0.1)
+    drift = segment_change(errors_of(walk), time_segments(errors_of(walk).time_ns))
+    assert np.mean(horizontal_m(drift) ** 2) == pytest.approx(2.0 * 60.0 * 0.01, rel=0.1)
+    assert np.mean(drift[:, 2] ** 2) == pytest.approx(60.0 * 0.01, rel=0.1)
 
 
 def test_worst_segment_is_found_with_its_time() -> None:
@@ -118,8 +109,8 @@ def test_worst_segment_is_found_with_its_time() -> None:
 @pytest.mark.parametrize("k", [0, 1, 2, 50])
 def test_dive_shorter_than_a_segment_has_none(k: int) -> None:
     errors = errors_of(np.zeros((k, 3)))
-    drift = segment_drift(errors, time_segments(errors.time_ns))
-    assert drift.horizontal_m.shape == (0,)
+    drift = segment_change(errors, time_segments(errors.time_ns))
+    assert drift.shape == (0, 3)
 
 
 def test_segments_do_not_reach_across_a_hole_where_they_end() -> None:
@@ -132,16 +123,16 @@ def test_segments_do_not_reach_across_a_hole_where_they_end() -> None:
         drifting_ned_m=errors.drifting_ned_m[kept],
         velocity_error_n=errors.velocity_error_n[kept],
     )
-    drift = segment_drift(holed, time_segments(holed.time_ns))
-    assert 30 < len(drift.horizontal_m) < 60
-    assert np.all(np.abs(drift.horizontal_m - 6.0) <= 0.6 + 1e-9), "of 54 to 66 s"
+    drift = segment_change(holed, time_segments(holed.time_ns))
+    assert 30 < len(horizontal_m(drift)) < 60
+    assert np.all(np.abs(horizontal_m(drift) - 6.0) <= 0.6 + 1e-9), "of 54 to 66 s"
 
 
 def test_reference_that_is_slower_than_the_step_gives_fewer_segments() -> None:
     errors = errors_of(growing(30, (3.0, 4.0, 0.0)), step_s=20.0)
-    drift = segment_drift(errors, time_segments(errors.time_ns))
-    np.testing.assert_allclose(drift.horizontal_m, 15.0, atol=1e-9)
-    assert time_segments(errors.time_ns).steps == 3
+    drift = segment_change(errors, time_segments(errors.time_ns))
+    np.testing.assert_allclose(horizontal_m(drift), 15.0, atol=1e-9)
+    np.testing.assert_array_equal(np.diff(time_segments(errors.time_ns).first), 1)
 
 
 def test_what_is_not_known_stays_in_its_place() -> None:
@@ -149,10 +140,10 @@ def test_what_is_not_known_stays_in_its_place() -> None:
     position_m[:40] = np.nan
     errors, full = errors_of(position_m), errors_of(growing(200, (0.2, 0.0, 0.0)))
     segments = time_segments(errors.time_ns)
-    drift, other = segment_drift(errors, segments), segment_drift(full, segments)
-    assert np.isnan(drift.horizontal_m[:8]).all()
-    assert np.isfinite(drift.horizontal_m[8:]).all()
-    assert paired_ratio(drift.horizontal_m**2, other.horizontal_m**2).ratio == pytest.approx(2.0)
+    drift, other = segment_change(errors, segments), segment_change(full, segments)
+    assert np.isnan(horizontal_m(drift)[:8]).all()
+    assert np.isfinite(horizontal_m(drift)[8:]).all()
+    np.testing.assert_allclose(horizontal_m(other)[8:] / horizontal_m(drift)[8:], 2.0)
 
 
 # --- Distance.
@@ -163,18 +154,17 @@ def test_distance_segments_are_as_long_as_they_say() -> None:
     errors = errors_of(growing(400, (0.02, 0.0, 0.01)))
     distance_m = reference_distance_m(reference, errors.time_ns)
     assert distance_m[-1] == pytest.approx(399 * 2.0)
-    drift = segment_drift(errors, distance_segments(errors.time_ns, distance_m))
-    np.testing.assert_allclose(drift.horizontal_m, 50 * 0.02, atol=1e-9)
-    assert distance_segments(errors.time_ns, distance_m).steps == 10
+    drift = segment_change(errors, distance_segments(errors.time_ns, distance_m))
+    np.testing.assert_allclose(horizontal_m(drift), 50 * 0.02, atol=1e-9)
 
 
 def test_vehicle_that_stops_drifts_over_the_way_and_not_over_the_time() -> None:
     velocity_n = np.zeros((600, 3))
     velocity_n[:, 0] = np.where((np.arange(600) >= 200) & (np.arange(600) < 300), 0.0, 1.0)
     reference, errors = going(600, velocity_n), errors_of(growing(600, (0.1, 0.0, 0.0)))
-    drift = segment_drift(errors, distance_segments(errors.time_ns, reference_distance_m(reference, errors.time_ns)))
-    assert drift.horizontal_m.min() == pytest.approx(10.0, abs=0.2)
-    assert drift.horizontal_m.max() == pytest.approx(20.0, abs=0.2)
+    drift = segment_change(errors, distance_segments(errors.time_ns, reference_distance_m(reference, errors.time_ns)))
+    assert horizontal_m(drift).min() == pytest.approx(10.0, abs=0.2)
+    assert horizontal_m(drift).max() == pytest.approx(20.0, abs=0.2)
 
 
 def test_distance_of_positions_alone_does_not_add_up_their_noise() -> None:

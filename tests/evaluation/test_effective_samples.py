@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from insdvl_replay.core.dive_columns import Floats
-from insdvl_replay.evaluation.series import samples_in_mean_square
+from insdvl_replay.evaluation.series import samples_in_mean, samples_in_mean_square
 
 
 def autoregressive(rng: np.random.Generator, coefficient: float, runs: int, k: int) -> Floats:
@@ -13,6 +13,44 @@ def autoregressive(rng: np.random.Generator, coefficient: float, runs: int, k: i
     noise = rng.standard_normal((runs, k + 1000)) * np.sqrt(1.0 - coefficient**2)
     series: Floats = lfilter([1.0], [1.0, -coefficient], noise, axis=1)[:, 1000:]
     return series
+
+
+# --- For a mean.
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.5, 0.9])
+def test_mean_of_an_autoregressive_series_has_the_closed_form(coefficient: float) -> None:
+    k = 10_000
+    series = autoregressive(np.random.default_rng(1), coefficient, 40, k)
+    found = np.median([samples_in_mean(run) for run in series])
+    assert found == pytest.approx(k * (1.0 - coefficient) / (1.0 + coefficient), rel=0.1)
+
+
+def test_bias_of_short_series_is_taken_off() -> None:
+    series = autoregressive(np.random.default_rng(2), 0.8, 400, 100)
+    found = np.median([samples_in_mean(run) for run in series])
+    assert found == pytest.approx(100.0 / 9.0, rel=0.25)
+
+
+@pytest.mark.parametrize(("values", "worth"), [([], 0.0), ([3.0], 1.0), ([2.0] * 50, 1.0), ([1.0, -1.0] * 25, 50.0)])
+def test_effective_samples_of_a_mean_at_the_edges(values: list[float], worth: float) -> None:
+    assert samples_in_mean(np.array(values)) == worth
+
+
+def test_trend_is_worth_next_to_nothing() -> None:
+    assert samples_in_mean(np.arange(200.0)) < 6.0
+
+
+def test_fast_noise_does_not_hide_a_slow_part_of_a_mean() -> None:
+    """Half of the variance is white, half is correlated over 50 values; the mean scatters by the slow half."""
+    rng, k = np.random.default_rng(17), 2000
+    series = autoregressive(rng, 0.98, 100, k) + rng.standard_normal((100, k))
+    found = np.median([samples_in_mean(run) for run in series])
+    # A variance of 2 over that of the mean, (99 + 1) / k.
+    assert found == pytest.approx(2.0 / (100.0 / k), rel=0.3)
+
+
+# --- For a mean square.
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.6, -0.6, 0.9])

@@ -1,222 +1,186 @@
-"""Words on pieces of evidence: tried like a detector, on losses of which it is known which filter is better."""
+"""Rows of evidence on one dive: values and ratio of the same runs, how far the candidate acts, and no word."""
 
-import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
 from insdvl_replay.core.dive_columns import Floats
 from insdvl_replay.core.tables import ConsistencyRow, EvidenceRow
-from insdvl_replay.core.words import ConvergenceStatus
+from insdvl_replay.core.words import ConvergenceStatus, Role
 from insdvl_replay.evaluation.convergence import MeasuredConvergence
-from insdvl_replay.evaluation.evidence import Measured, SquaredErrors, evidence_table
-from insdvl_replay.evaluation.series import RatioInterval
+from insdvl_replay.evaluation.evidence import ErrorSeries, Measured, Pair, evidence_table
 
-TIMES, STARTS = 300, 16
-PIECES = ("drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "level", "heading")
-
-
-def errors(rng: np.random.Generator, rho: float = 0.5, starts: int = STARTS) -> Floats:
-    """Errors that go on from time to time, of unit variance, shape (starts, times)."""
-    drawn = rng.standard_normal((starts, TIMES))
-    for k in range(1, TIMES):
-        drawn[:, k] = rho * drawn[:, k - 1] + np.sqrt(1.0 - rho**2) * drawn[:, k]
-    return drawn
+TIMES = 300
+CONVERGED = MeasuredConvergence(0.01, 100.0, 80.0, ConvergenceStatus.REACHED)
 
 
-def squared_errors(of_one: Floats, floor: float = 0.0) -> SquaredErrors:
-    return SquaredErrors("m", of_one**2, 1, floor)
+def errors(rng: np.random.Generator, columns: int = 1, times: int = TIMES) -> Floats:
+    return np.asarray(rng.standard_normal((times, columns)))
 
 
-def evidence(
-    accuracy: Mapping[str, tuple[SquaredErrors, SquaredErrors]] | None = None,
-    outage: Mapping[str, tuple[Sequence[float], Sequence[float]]] | None = None,
-    convergence: Mapping[str, MeasuredConvergence] | None = None,
-    nis: tuple[ConsistencyRow, ...] = (),
-) -> dict[str, EvidenceRow]:
-    """Hold one candidate against the baseline; rows by quantity."""
-    before, after = ({name: pair[i] for name, pair in (accuracy or {}).items()} for i in range(2))
-    windows = [{name: np.array(pair[i]) for name, pair in (outage or {}).items()} for i in range(2)]
-    measured = Measured(
-        {"aided": (before, after)},
-        {"aided": (windows[0], windows[1])},
-        {"aided": convergence or {}},
-    )
+def pair_of(quantity: str, before: Floats, after: Floats, noise: float = 0.0, from_s: float = 0.0) -> Pair:
+    """Return both filters in one quantity."""
+    first, second = (ErrorSeries("m", values, noise, from_s) for values in (before, after))
+    return {quantity: first}, {quantity: second}
+
+
+def rows_of(measured: Measured, nis: tuple[ConsistencyRow, ...] = ()) -> dict[str, EvidenceRow]:
+    """Return the rows on one candidate by quantity."""
     return {row.quantity: row for row in evidence_table("dive", "baseline", ["aided"], measured, nis, ())}
 
 
-def test_gain_and_loss_are_reported_with_their_numbers() -> None:
+def merged(*pairs: Pair) -> dict[str, Pair]:
+    before: dict[str, ErrorSeries] = {}
+    after: dict[str, ErrorSeries] = {}
+    for one, other in pairs:
+        before |= one
+        after |= other
+    return {"aided": (before, after)}
+
+
+# --- Values, ratio, moves and acts.
+
+
+def test_values_and_ratio_are_of_the_same_runs() -> None:
     rng = np.random.default_rng(1)
-    common = errors(rng)
-    rows = evidence(
-        {
-            "drift_30s": (squared_errors(common), squared_errors(0.5 * errors(rng))),
-            "velocity_along": (squared_errors(common), squared_errors(2.0 * errors(rng))),
-            "level": (squared_errors(common), squared_errors(1.01 * common)),
-        }
-    )
-    assert [(row.quantity, row.verdict) for row in rows.values()] == [
-        ("drift_30s", "better"),
-        ("velocity_along", "worse"),
-        ("level", "equivalent"),
-    ]
-    first = rows["drift_30s"]
-    assert (first.log, first.filter, first.evidence, first.unit) == ("dive", "aided", "accuracy", "m")
-    assert (first.starts, first.windows) == (STARTS, TIMES)
-    assert first.baseline == pytest.approx(np.sqrt(np.mean(common[0] ** 2))), "that of the dive's own start"
-    assert first.ratio == pytest.approx(0.5, rel=0.1), "that of all starts"
+    before, after = errors(rng, 2), 0.5 * errors(rng, 2)
+    row = rows_of(Measured(merged(pair_of("drift_60s", before, after))))["drift_60s"]
+    assert (row.log, row.filter, row.evidence, row.unit) == ("dive", "aided", "accuracy", "m")
+    assert row.baseline == pytest.approx(np.sqrt(np.mean(np.sum(before**2, axis=1))))
+    assert row.value == pytest.approx(np.sqrt(np.mean(np.sum(after**2, axis=1))))
+    assert row.ratio == pytest.approx(row.value / row.baseline)
+    assert row.moves == pytest.approx(np.sqrt(np.mean(np.sum((after - before) ** 2, axis=1))))
+    assert row.acts == pytest.approx(row.moves / row.baseline)
+    assert (row.samples, row.starts, row.from_s) == (TIMES, 1, None)
 
 
-def test_values_are_of_this_dive_and_the_ratio_of_drawn_starts() -> None:
-    """The dive's own start does not err: its levels are far smaller than those that random starts leave behind."""
-    rng = np.random.default_rng(5)
-    drawn, own = errors(rng), errors(rng, starts=1)[0]
-    before, after = (squared_errors(factor * drawn)._replace(own=(factor * 0.1 * own) ** 2) for factor in (1.0, 0.5))
-    row = evidence({"level": (before, after)})["level"]
-    assert (row.baseline, row.ratio) == (pytest.approx(0.1 * np.sqrt(np.mean(own**2))), pytest.approx(0.5))
-    assert row.starts == STARTS
-
-
-def test_track_of_one_dive_decides_nothing() -> None:
-    track = {"aided": {"position": (2.0, 1.0), "depth": (0.0, 0.1)}}
-    rows = evidence_table("dive", "baseline", ["aided"], Measured(track=track), (), ())
-    assert [(row.evidence, row.quantity, row.unit, row.verdict) for row in rows] == [
-        ("track", "position", "m", "undecided"),
-        ("track", "depth", "m", "undecided"),
-    ]
-    assert (rows[0].baseline, rows[0].value, rows[0].ratio, rows[0].effective_samples) == (2.0, 1.0, 0.5, 1.0)
-    assert np.isnan([rows[0].low, rows[1].ratio]).all()
-
-
-@pytest.mark.parametrize(("floor", "word"), [(0.9, "better"), (1.2, "undecided")])
-def test_differences_below_what_the_reference_errs_by_are_none(floor: float, word: str) -> None:
+def test_drawn_starts_change_no_row_but_those_of_convergence() -> None:
     rng = np.random.default_rng(2)
-    assert (
-        evidence({"drift_30s": (squared_errors(errors(rng), floor), squared_errors(0.5 * errors(rng), floor))})[
-            "drift_30s"
-        ].verdict
-        == word
-    )
+    accuracy = merged(pair_of("level", errors(rng), errors(rng)))
+    alone = rows_of(Measured(accuracy))
+    drawn = rows_of(Measured(accuracy, convergence={"aided": {"level": CONVERGED}}, drawn=15))
+    assert drawn["level"] == alone["level"]
+    assert [name for name in drawn if name not in alone] == ["convergence_level"]
 
 
-def equal_filters(rng: np.random.Generator) -> dict[str, tuple[SquaredErrors, SquaredErrors]]:
-    return {quantity: (squared_errors(errors(rng)), squared_errors(errors(rng))) for quantity in PIECES}
+def test_time_of_settling_and_noise_of_the_reference_are_told() -> None:
+    row = rows_of(Measured(merged(pair_of("level", np.full((9, 1), 2.0), np.full((9, 1), 3.0), 1.0, 124.0))))["level"]
+    assert (row.from_s, row.reference_noise) == (124.0, pytest.approx(0.25))
+    assert row.acts == pytest.approx(1.0 / np.sqrt(3.0)), "of the error without the noise"
 
 
-@pytest.mark.nightly
-def test_of_many_pieces_on_equal_filters_none_is_better_or_worse_by_chance() -> None:
-    """Seven pieces a dive, each with independent errors: with words of 5 % each, every third dive would have one."""
+def test_a_copy_has_no_effect_in_any_row() -> None:
     rng = np.random.default_rng(3)
-    dives = [evidence(equal_filters(rng)) for _ in range(150)]
-    decided = [any(row.verdict in {"better", "worse"} for row in rows.values()) for rows in dives]
-    assert np.mean(decided) <= 0.07, "a p of 0.01 each, and the margin"
-    assert all(len(rows) == len(PIECES) for rows in dives)
+    same = {name: errors(rng) for name in ("drift_60s", "level", "heading", "velocity_along")}
+    accuracy = merged(*(pair_of(name, one, one.copy(), noise=0.9) for name, one in same.items()))
+    track = merged(pair_of("position", errors(rng, 2), errors(rng, 2)))
+    track["aided"] = (track["aided"][0], track["aided"][0])
+    found = rows_of(Measured(accuracy, track=track))
+    assert len(found) == 5
+    assert {(row.ratio, row.moves, row.acts) for row in found.values()} == {(1.0, 0.0, 0.0)}
 
 
-def test_the_number_that_decides_is_printed() -> None:
-    rng = np.random.default_rng(4)
-    pairs = {quantity: (squared_errors(errors(rng)), squared_errors(share * errors(rng)))
-             for quantity, share in zip(PIECES, (0.5, 0.8, 0.9, 0.95, 1.0, 1.1, 1.3), strict=True)}  # fmt: skip
-    for row in evidence(pairs).values():
-        beyond = not 1.0 / 1.05 < row.ratio < 1.05
-        assert (row.verdict in {"better", "worse"}) == (beyond and row.p < 0.01)
+def test_baseline_without_an_error_has_no_ratio() -> None:
+    row = rows_of(Measured(merged(pair_of("drift_60s", np.zeros((9, 2)), np.ones((9, 2))))))["drift_60s"]
+    assert np.isnan([row.ratio, row.acts]).all()
 
 
-def outage(rng: np.random.Generator, share: float) -> tuple[SquaredErrors, SquaredErrors]:
-    """Errors of which nearly all are in the last eighth but one of a dive of 80 to 480 s."""
-    sizes = np.where((np.arange(TIMES) >= 0.75 * TIMES) & (np.arange(TIMES) < 0.875 * TIMES), 30.0, 1.0)
-    before, after = (
-        SquaredErrors("m", (sizes * factor * errors(rng)) ** 2, 1, 0.0, span_s=(80.0, 480.0)) for factor in (1.0, share)
-    )
-    return before, after
+@pytest.mark.filterwarnings("error")
+def test_filter_that_runs_away_is_compared_without_a_warning() -> None:
+    before = errors(np.random.default_rng(4), 2)
+    row = rows_of(Measured(merged(pair_of("drift_60s", before, 1e200 * before))))["drift_60s"]
+    assert row.ratio == np.inf
 
 
-def test_one_stretch_decides_nothing_and_is_named() -> None:
+def test_what_a_filter_broke_down_too_early_for_is_no_evidence() -> None:
+    """It has no drift over 30 s, as one has that fixes of another continent throw off in the first."""
+    lost = {"velocity_along": ErrorSeries("m/s", np.ones((50, 1)))}
+    whole = lost | {"drift_30s": ErrorSeries("m", np.ones((50, 2)))}
+    assert [*rows_of(Measured({"aided": (whole, lost)}))] == ["velocity_along"]
+    blind = whole | {"drift_30s": ErrorSeries("m", np.full((50, 2), np.nan))}
+    assert [*rows_of(Measured({"aided": (whole, blind)}))] == ["velocity_along"]
+
+
+# --- What each row may do.
+
+
+def roles(measured: Measured) -> Mapping[str, str]:
+    return {name: row.role for name, row in rows_of(measured).items()}
+
+
+@pytest.mark.parametrize(("independent", "role"), [(True, Role.PRIMARY), (False, Role.SHOWN)])
+def test_position_may_decide_by_an_independent_reference_alone(independent: bool, role: str) -> None:
     rng = np.random.default_rng(5)
-    row = evidence({"drift_30s": outage(rng, 0.5)})["drift_30s"]
-    assert row.verdict == "undecided"
-    assert re.findall(r"\d+", row.why) == ["380", "430"]
-    assert row.effective_samples < 2.5
+    track = merged(pair_of("position", errors(rng, 2), errors(rng, 2)), pair_of("depth", errors(rng), errors(rng)))
+    found = roles(Measured(track=track, independent=independent))
+    assert found == {"position": role, "depth": Role.SHOWN}
 
 
-def test_longer_segments_of_one_stretch_are_one_sample_too() -> None:
+@pytest.mark.parametrize(("windows", "role"), [(1, Role.SECONDARY), (2, Role.PRIMARY)])
+def test_outage_may_decide_from_two_windows_on(windows: int, role: str) -> None:
     rng = np.random.default_rng(6)
-    smeared = squared_errors(errors(rng)), squared_errors(0.5 * errors(rng))
-    rows = evidence({"drift_30s": outage(rng, 0.5), "drift_100m": smeared, "level": smeared})
-    assert [row.verdict for row in rows.values()] == ["undecided", "undecided", "better"]
-    assert "one stretch" in rows["drift_100m"].why
-
-
-def test_a_copy_is_equivalent_however_noisy_the_reference_is() -> None:
-    same = squared_errors(errors(np.random.default_rng(7)), floor=0.9)
-    assert evidence({"drift_30s": (same, same)})["drift_30s"].verdict == "equivalent"
-
-
-def test_outage_is_compared_window_by_window() -> None:
-    drifts = [0.3, 0.5, 0.2, 0.4, 0.6, 0.3]
-    far_off = [3.1, 5.0, 1.9, 4.1, 6.0, 2.9]
-    rows = evidence(
-        outage={
-            "30s": (drifts, far_off),
-            "60s": (drifts[:3], drifts[:3]),
-            "120s": ([], []),
-        }
+    outage = merged(
+        pair_of("outage_30s", errors(rng, 2, 5), errors(rng, 2, 5)),
+        pair_of("outage_60s", errors(rng, 2, windows), errors(rng, 2, windows)),
+        pair_of("outage_120s", errors(rng, 2, 5), errors(rng, 2, 5)),
     )
-    assert list(rows) == ["outage_30s", "outage_60s"]
-    far, few = rows.values()
-    assert (far.evidence, far.unit, far.starts, far.windows, far.verdict) == ("outage", "m", 1, 6, "worse")
-    assert far.ratio == pytest.approx(10.0, rel=0.02)
-    assert far.baseline == pytest.approx(np.sqrt(np.mean(np.square(drifts))))
-    assert few.verdict == "undecided"
+    assert roles(Measured(outage=outage)) == {"outage_30s": "primary", "outage_60s": role, "outage_120s": "shown"}
 
 
-def converged(ratio: float) -> MeasuredConvergence:
-    ends = ratio, 0.9 * ratio, 1.1 * ratio, 0.92 * ratio, 1.08 * ratio
-    interval = RatioInterval(*ends, 15.0, drawn_p=1.0 if ratio == 1.0 else 0.0)
-    return MeasuredConvergence(0.01, 100.0, 100.0 * ratio, ConvergenceStatus.REACHED, interval)
+def test_of_the_errors_in_time_one_of_a_kind_may_warn() -> None:
+    rng = np.random.default_rng(7)
+    names = (
+        "drift_30s", "drift_60s", "drift_100m", "velocity_along", "velocity_across", "depth_60s", "level", "heading",
+    )  # fmt: skip
+    found = roles(Measured(merged(*(pair_of(name, errors(rng), errors(rng)) for name in names))))
+    warning = {name for name, role in found.items() if role == Role.SECONDARY}
+    assert warning == {"drift_60s", "velocity_along", "velocity_across", "level", "heading"}
+    assert {found[name] for name in found if name not in warning} == {Role.SHOWN}
 
 
-@pytest.mark.parametrize(("ratio", "word"), [(0.5, "better"), (0.85, "undecided"), (1.2, "undecided"), (1.6, "worse")])
-def test_convergence_has_to_differ_by_more_than_the_sensors_of_one_dive(ratio: float, word: str) -> None:
-    row = evidence(convergence={"level": converged(ratio)})["convergence_level"]
-    assert (row.evidence, row.unit, row.verdict, row.starts) == ("convergence", "s", word, 15)
+def test_rows_of_the_track_are_in_their_order_with_the_ends() -> None:
+    rng = np.random.default_rng(8)
+    track = merged(pair_of("depth", errors(rng), errors(rng)), pair_of("position", errors(rng, 2), errors(rng, 2)))
+    ends = {"aided": {"position": (9.0, 9.0), "position_end": (2.0, 1.0), "position_end_pct": (0.0, 0.1)}}
+    found = rows_of(Measured(track=track, ends=ends))
+    assert [*found] == ["position", "position_end", "position_end_pct", "depth"]
+    end = found["position_end"]
+    assert (end.baseline, end.value, end.ratio, end.samples, end.acts) == (2.0, 1.0, 0.5, 1, None)
+    assert np.isnan(found["position_end_pct"].ratio)
+    assert found["position"].baseline != 9.0, "the track itself, where it is known"
 
 
-@pytest.mark.parametrize(("high", "word"), [(1.04, "equivalent"), (3.66, "undecided")])
-def test_times_that_a_few_starts_may_make_others_are_not_equivalent(high: float, word: str) -> None:
-    found = converged(1.0)
-    interval = found.interval._replace(low=0.99, high=high, low90=0.99, high90=1.02)
-    found = found._replace(interval=interval)
-    assert evidence(convergence={"level": found})["convergence_level"].verdict == word
+# --- Outages, convergence and consistency.
+
+
+def test_outage_is_compared_window_by_window_with_directions() -> None:
+    north = np.array([[0.3, 0.0], [0.5, 0.0], [0.2, 0.0]])
+    east = north[:, ::-1]
+    row = rows_of(Measured(outage=merged(pair_of("outage_30s", north, east))))["outage_30s"]
+    assert (row.evidence, row.unit, row.samples) == ("outage", "m", 3)
+    assert row.ratio == pytest.approx(1.0)
+    assert row.acts == pytest.approx(np.sqrt(2.0)), "drifts of one size in two directions are not the same"
+
+
+def test_convergence_has_the_times_and_their_ratio() -> None:
+    converged = {"velocity_h": CONVERGED._replace(candidate_s=np.nan), "level": CONVERGED}
+    found = rows_of(Measured(convergence={"aided": converged}, drawn=15))
+    assert [*found] == ["convergence_velocity", "convergence_level"]
+    row = found["convergence_level"]
+    assert (row.evidence, row.unit, row.role) == ("convergence", "s", "settling")
+    assert (row.baseline, row.value, row.ratio) == (100.0, 80.0, pytest.approx(0.8))
+    assert (row.starts, row.acts) == (15, None)
+    assert np.isnan(found["convergence_velocity"].ratio), "it never settled"
 
 
 def nis(filter_: str, mean: float, verdict: str) -> ConsistencyRow:
     return ConsistencyRow("dive", filter_, "velocity", 3, 99, 0, 3.0 * mean, 2.9, 3.1, verdict)
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "word"),
-    [
-        ((10.0, "overconfident"), (1.05, "consistent"), "better"),
-        ((1.0, "consistent"), (4.0, "overconfident"), "worse"),
-        ((0.1, "conservative"), (0.2, "conservative"), "equivalent"),
-        ((0.1, "conservative"), (1.0, "consistent"), "better"),
-        ((0.5, "conservative"), (0.5, "conservative"), "equivalent"),
-        ((0.1, "conservative"), (2.0, "overconfident"), "worse"),
-    ],
-)
-def test_consistent_is_who_is_nearer_and_not_over_confident_instead(before: Any, after: Any, word: str) -> None:
-    row = evidence(nis=(nis("baseline", *before), nis("aided", *after)))["nis"]
-    assert (row.evidence, row.verdict) == ("consistency", word)
-    assert (row.baseline, row.value) == pytest.approx((before[0], after[0]))
-
-
-def test_what_a_filter_broke_down_too_early_for_is_no_evidence() -> None:
-    """It has no drift over 30 s, as one has that fixes of another continent throw off in the first."""
-    lost = {"velocity_along": SquaredErrors("m/s", np.ones((1, 50)), 1, 0.0)}
-    whole = lost | {"drift_30s": SquaredErrors("m", np.ones((1, 50)), 1, 0.0)}
-    measured = Measured({"aided": (whole, lost)})
-    rows = evidence_table("dive", "baseline", ["aided"], measured, (), ())
-    assert [row.quantity for row in rows] == ["velocity_along"]
+@pytest.mark.parametrize(("before", "after", "ratio"), [(10.0, 2.0, 0.2), (0.1, 2.0, 0.2), (1.0, 4.0, 4.0)])
+def test_consistency_compares_distances_from_one_and_decides_nothing(before: float, after: float, ratio: float) -> None:
+    row = rows_of(Measured(), (nis("baseline", before, "overconfident"), nis("aided", after, "overconfident")))["nis"]
+    assert (row.evidence, row.role) == ("consistency", "shown")
+    assert (row.baseline, row.value) == pytest.approx((before, after))
+    assert row.ratio == pytest.approx(ratio)

@@ -1,11 +1,11 @@
-"""Verdicts: decided by what the tables say, never by a filter's name."""
+"""Verdicts on one dive: decided by what the tables say, never by a filter's name."""
 
 import re
 
 import numpy as np
 import pytest
 from made_histories import history
-from made_verdicts import consistency, credibility, judged
+from made_verdicts import consistency, credibility, evidence_row, judged
 
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.tables import EvidenceRow, Tables
@@ -13,85 +13,78 @@ from insdvl_replay.core.words import Severity
 from insdvl_replay.evaluation.verdicts import consistency_of, credibility_of, evaluated_candidates
 
 
-@pytest.mark.parametrize(
-    ("words", "verdict"),
-    [
-        (["better", "equivalent", "undecided"], "better"),
-        (["undecided", "undecided", "better"], "better"),
-        (["worse", "equivalent"], "worse"),
-        (["better", "worse"], "mixed"),
-        (["equivalent", "undecided"], "equivalent"),
-        (["undecided", "equivalent"], "undecided"),
-        ([], "undecided"),
-    ],
-)
-def test_evidence_together_is_better_where_nothing_is_worse(words: list[str], verdict: str) -> None:
-    assert judged(words).verdict == verdict
+def dive(**ratios: float) -> list[EvidenceRow]:
+    """Return the evidence of a dive by quantity."""
+    return [evidence_row(name, ratio) for name, ratio in ratios.items()]
+
+
+@pytest.mark.parametrize("ratio", [0.1, 1.0, 9.0])
+def test_one_dive_is_undecided_and_says_what_was_on_it(ratio: float) -> None:
+    found = judged(dive(position=ratio, level=0.1, drift_60s=9.0))
+    assert (found.verdict, found.prediction, found.primary) == ("undecided", "undecided", "position")
+    assert re.match(r"aided against baseline: on this dive position .*; one dive cannot tell", found.sentence)
 
 
 @pytest.mark.parametrize(
-    ("predicted_pct", "ratio", "prediction"),
-    [
-        (40.0, (0.6, 0.5, 0.7), "confirmed"),
-        (40.0, (0.79, 0.79, 0.79), "confirmed"),
-        (40.0, (0.8, 0.7, 0.9), "undecided"),
-        (40.0, (0.9, 0.81, 0.99), "not confirmed"),
-        (40.0, (1.5, 1.2, 1.8), "not confirmed"),
-        (4.0, (0.6, 0.5, 0.7), "undecided"),
-        (-30.0, (0.6, 0.5, 0.7), "undecided"),
-    ],
+    ("acts", "verdict", "word"), [(0.0, "no effect", "NO EFFECT"), (0.03, "equivalent", "EQUIVALENT")]
 )
-def test_prediction_is_confirmed_by_half_of_it_with_its_interval(
-    predicted_pct: float, ratio: tuple[float, float, float], prediction: str
-) -> None:
-    assert judged(["better"], predicted_pct, ratio).prediction == prediction
+def test_one_dive_proves_how_little_a_candidate_does(acts: float, verdict: str, word: str) -> None:
+    found = judged([evidence_row("position", 1.0, acts=acts), evidence_row("level", 1.0, acts=acts)])
+    assert found.verdict == verdict
+    assert found.sentence.startswith(f"aided against baseline: {word}, ")
 
 
-@pytest.mark.parametrize(("starts", "prediction"), [(1, "undecided"), (7, "undecided"), (8, "not confirmed")])
-def test_few_starts_say_nothing_of_what_is_predicted(starts: int, prediction: str) -> None:
-    """From the exact start a filter cannot show that it wears off errors of the start."""
-    found = judged(["equivalent"], 40.0, (1.0, 0.99, 1.01), starts=starts)
-    assert found.prediction == prediction
-    assert bool(re.search(r"takes 8 random starts\b", found.sentence)) == (starts < 8)
+def test_a_prediction_is_refuted_by_a_proof_alone() -> None:
+    """A filter that moves the position by 15 % cannot make it smaller by half of 40 %."""
+    assert judged([evidence_row("position", 0.9, acts=0.15)], 40.0).prediction == "not confirmed"
+    assert judged([evidence_row("position", 0.9, acts=0.25)], 40.0).prediction == "undecided"
 
 
-def test_as_good_names_what_the_first_piece_leaves_undecided() -> None:
-    words = ["equivalent", "undecided", "equivalent", "undecided"]
-    assert "undecided: drift in 60 s, velocity along." in judged(words).sentence
-    assert "undecided:" not in judged(["equivalent", "equivalent"]).sentence
-    assert "undecided:" not in judged(["better", "undecided"]).sentence
+def test_settings_name_what_decides() -> None:
+    rows = dive(position=0.8, drift_60s=1.2)
+    assert judged(rows).primary == "position"
+    found = judged(rows, primary="drift_60s")
+    assert found.primary == "drift_60s"
+    assert "on this dive drift in 60 s 20.0 % larger" in found.sentence
+
+
+def test_without_an_independent_position_the_outage_decides_and_says_so() -> None:
+    rows = [evidence_row("position", 0.8, role="shown"), evidence_row("outage_30s", 0.7)]
+    found = judged(rows)
+    assert found.primary == "outage_30s"
+    assert "no position reference" in found.sentence
+    assert "no position reference" not in judged(dive(position=0.8, outage_30s=0.7)).sentence
 
 
 @pytest.mark.parametrize("unsound", ["aided", "baseline"])
-@pytest.mark.parametrize("word", ["better", "worse", "undecided"])
-def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, word: str) -> None:
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
+def test_nothing_is_said_of_gain_or_loss_where_a_filter_is_dead(unsound: str, ratio: float) -> None:
     verdict = judged(
-        [word],
+        dive(position=ratio),
         of_baseline="overconfident",
         errors_of_aided="insufficient data",
         errors_of_baseline="insufficient data",
         unsound={"aided": f"{unsound} rejected 209 of 300"},
     )
     assert (verdict.verdict, verdict.prediction) == ("not evaluated", "undecided")
-    assert f": {unsound} rejected 209 of 300" in verdict.sentence
+    assert f"{unsound} rejected 209 of 300. settle this first." in verdict.sentence.lower()
+    assert "smaller" not in verdict.sentence
+    assert "larger" not in verdict.sentence
 
 
 def test_sentence_holds_the_numbers_that_it_was_evaluated_by() -> None:
-    sentence = judged(["worse"], 40.0, (1.75, 1.5, 2.0), of_aided="overconfident", of_consistency="worse").sentence
-    assert re.match(r"aided .*WORSE .*baseline: drift in 30 s 75\.0 % .*3\.5 m .*2 m; .*\+50\.0 .*\+100\.0 %", sentence)
-    assert "40.0 %" in sentence
-    assert " 30.0 % larger" in judged(["better"], -30.0).sentence
-
-
-def test_a_reference_that_shares_sensors_is_part_of_the_sentence() -> None:
-    apart = judged(["better"]).sentence
-    assert judged(["better"], independent=False).sentence.startswith(f"{apart} ")
+    sentence = judged([evidence_row("position", 1.75, acts=0.8)], 40.0, of_aided="overconfident").sentence
+    assert "on this dive position 75.0 % larger" in sentence
+    assert "moves the track by 1.6 m, 80 % of its error" in sentence
+    assert "predicted: 40.0 % smaller sigma. Not confirmed: position is not smaller." in sentence
+    assert "aided is overconfident" in sentence
+    assert " 30.0 % larger" in judged(dive(position=0.8), -30.0).sentence
 
 
 @pytest.mark.parametrize("errors", ["consistent", "overconfident", "insufficient data", "no reference"])
 @pytest.mark.parametrize("innovations", ["consistent", "overconfident", "insufficient data"])
 def test_innovations_and_errors_have_a_word_each(innovations: str, errors: str) -> None:
-    verdict = judged(["undecided"], of_aided=innovations, errors_of_aided=errors)
+    verdict = judged(dive(position=1.0), of_aided=innovations, errors_of_aided=errors)
     assert (verdict.consistency, verdict.credibility) == (innovations, errors)
 
 
@@ -135,11 +128,15 @@ def test_gravest_group_of_errors_is_for_the_filter() -> None:
     ]  # fmt: skip
 
 
-def test_evidence_on_a_candidate_that_is_not_evaluated_has_no_words() -> None:
-    row = EvidenceRow("dive", "aided", "accuracy", "drift_30s", "m", 2.0, 1.0, 0.5, 0.4, 0.6, 30.0, 16, 60, "better")
+def test_evidence_on_a_candidate_that_is_not_evaluated_decides_nothing() -> None:
+    rows = dive(position=0.5, level=0.5)
     histories = tuple(history(name, np.full(9, 3.0)) for name in ("baseline", "aided"))
     contradiction = Note("dvl_contradiction", "columns contradict each other", severity=Severity.WARNING)
-    for notes, word in ((), "better"), ((contradiction,), ""):
-        tables, found = evaluated_candidates(histories, {}, Tables([], [], [], [], [], [row]), notes, independent=True)
-        assert [(left.verdict, left.ratio) for left in tables.evidence] == [(word, 0.5)]
-        assert found["aided"].verdict == (word or "not evaluated")
+    for notes, roles, word in (
+        ((), ["primary", "secondary"], "undecided"),
+        ((contradiction,), ["shown", "shown"], "not evaluated"),
+    ):
+        tables, found = evaluated_candidates(histories, {}, Tables([], [], [], [], [], rows), notes)
+        assert [row.role for row in tables.evidence] == roles
+        assert [row.ratio for row in tables.evidence] == [0.5, 0.5]
+        assert found["aided"].verdict == word

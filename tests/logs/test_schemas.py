@@ -23,10 +23,10 @@ TABLES = {
     "autocorrelation_limit,whiteness,why",
     "CredibilityRow": "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,"
     "effective_samples,why",
-    "EvidenceRow": "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,"
-    "verdict,p,why",
+    "EvidenceRow": "log,filter,evidence,quantity,unit,baseline,value,ratio,moves,acts,reference_noise,samples,starts,"
+    "from_s,role",
     "OutageRow": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
-    "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
+    "end_velocity_mps,vertical_median_m,ratio_to_baseline,windows_won_pct,nis_per_dof",
 }
 UNITS = {"m/s": "mps", "mrad": "mrad", "mg": "mg", "deg/h": "degph"}
 

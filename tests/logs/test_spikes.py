@@ -116,7 +116,8 @@ def test_a_filter_that_is_thrown_off_comes_back(clean: Dive, tmp_path: Path, reo
 
 def test_a_spike_at_the_very_start_is_found(clean: Dive, tmp_path: Path) -> None:
     replay = replayed(with_force(clean, [0], 300.0), tmp_path)
-    assert [(note.code, note.count) for note in replay.notes if note.severity == "warning"] == [("imu_spikes", 1)]
+    warnings = [(note.code, note.count) for note in replay.notes if note.severity == "warning"]
+    assert [found for found in warnings if found[0] != "not_evaluated"] == [("imu_spikes", 1)]
 
 
 @pytest.mark.parametrize("grade", ["fog", "mems"])

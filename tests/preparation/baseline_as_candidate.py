@@ -6,11 +6,15 @@ import numpy as np
 
 from insdvl_replay.api import run_as_program
 from insdvl_replay.core.config import Config, Filter, Initial
+from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive
 from insdvl_replay.core.states import DEG
 from insdvl_replay.nav.user_candidate import Candidate, CandidateStart, Solution
 from insdvl_replay.preparation.prepared import prepare_dive
 from insdvl_replay.preparation.run import prepared_timeline, run_one
+
+FITTING = load_config("fog", overrides=["dvl.velocity_sd_mps=0.005"])
+"""Settings whose noise is that of the simulated sensors; with another one nothing is evaluated."""
 
 
 class Baseline(Candidate):
@@ -21,7 +25,8 @@ class Baseline(Candidate):
     def run(self, dive: Dive, start: CandidateStart) -> Solution:
         """Run it from the start that is given."""
         initial = Initial(source="level", heading_deg=0.0, latitude_deg=float(start.position[0] / DEG))
-        config = Config(initial=initial, filters={"baseline": Filter(aiding=("velocity",))})
+        filters = {"baseline": Filter(aiding=("velocity",))}
+        config = Config(initial=initial, noise=FITTING.noise, dvl=FITTING.dvl, filters=filters)
         prepared = prepare_dive(dive, config)
         alignment = replace(prepared.alignment, start=start, start_ns=start.time_ns)
         mounting = replace(prepared.mounting, lever_arm_b=start.dvl_lever_arm_b)

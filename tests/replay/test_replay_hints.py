@@ -29,6 +29,7 @@ def told_the_truth(grade: str, *overrides: str) -> Config:
     white = ("accel_white_mps_rts", "gyro_white_rad_rts", "accel_bias_walk_mps2_rts", "gyro_bias_walk_radps_rts")
     truth = [f"noise.{key}={getattr(sensors, key)!r}" for key in white]
     truth += [
+        "initial.uncertainty=settings",
         f"dvl.beam_sd_mps={WHITE.beam_sd_mps}",
         f"initial.accel_bias_sd_mg={sensors.accel_bias_sd_mps2 / MG}",
         f"initial.gyro_bias_sd_degph={sensors.gyro_bias_sd_radps / DEG_PER_HOUR}",

@@ -11,7 +11,7 @@ import pytest
 from matched_sensors import MATCHED
 from true_errors import mean_squares
 
-from insdvl_replay.core.config import Config, Depth, Evaluation, Filter, Heading, Initial, Position, Span
+from insdvl_replay.core.config import Config, Depth, Dvl, Evaluation, Filter, Heading, Initial, Position, Span
 from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, Floats, SensorColumns
 from insdvl_replay.core.errors import LogError
@@ -34,6 +34,7 @@ MATCHED_DVL = DvlErrors(
     beam_sd_mps=0.0, beam_bias_sd_mps=0.0, beam_scale_sd=0.0, beam_quantum_mps=0.0, velocity_sd_mps=0.01
 )
 MEMS = load_config("mems")
+FITTING = {"noise": MEMS.noise, "dvl": Dvl(velocity_sd_mps=0.005), "initial": MEMS.initial}  # of simulated sensors
 POSITION_SD_M = (2.0, 2.0, 1.0)
 
 
@@ -258,7 +259,7 @@ def test_a_dive_over_180_deg_of_longitude_is_as_any_other() -> None:
     settings = config("position", position=Position(sd_m=1.0), noise=MEMS.noise, initial=MEMS.initial)
     here, there_too = (replay_dive(one, settings).tables for one in (dive, there))
     for ours, theirs in zip(here.evidence, there_too.evidence, strict=True):
-        assert (ours.quantity, ours.verdict) == (theirs.quantity, theirs.verdict)
+        assert (ours.quantity, ours.role) == (theirs.quantity, theirs.role)
         assert theirs.value == pytest.approx(ours.value, rel=1e-3, nan_ok=True)
 
 
@@ -419,11 +420,12 @@ def test_a_filter_that_is_reported_the_reference_is_not_evaluated_by_it(
     position = dive.reference.position + np.array([off_m / 6.4e6, 0.0, 0.0])
     fixes = SensorColumns(dive.reference.time_ns + int(seconds_late * 1e9), position)
     write_dive(tmp_path / "dive.mcap", replace(dive, sensors={"position": fixes}))
-    replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5)))
+    replay = replay_log(tmp_path / "dive.mcap", config("position", position=Position(sd_m=0.5), **FITTING))
     notes = [note.code for note in replay.notes if note.code.endswith("_is_reference")]
     assert notes == ["position_is_reference"] * told
     assert (replay.verdicts["candidate"].verdict == "not evaluated") == told
-    held_out = config("position", position=Position(sd_m=0.5), evaluation=Evaluation(held_out=("position",)))
+    judged = Evaluation(held_out=("position",))
+    held_out = config("position", position=Position(sd_m=0.5), evaluation=judged, **FITTING)
     assert replay_log(tmp_path / "dive.mcap", held_out).verdicts["candidate"].verdict != "not evaluated"
 
 
@@ -438,7 +440,7 @@ def _held(fixes: Floats) -> Floats:
     ("sensor", "misread", "told"),
     [
         ("depth", lambda depth_m: depth_m / FOOT_M, ["depth_contradiction", "depth_disagrees"]),
-        ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees", "not_evaluated"]),
+        ("depth", lambda depth_m: -depth_m, ["depth_contradiction", "depth_disagrees"]),
         ("heading", np.deg2rad, ["heading_contradiction", "heading_disagrees", "heading_slow_error"]),
         (
             "heading",
@@ -462,10 +464,14 @@ def test_a_sensor_that_is_misread_is_reported(
     dive = simulate_dive("calibration", duration_s=250.0, grade="tactical", sensors={sensor: noise[sensor]})
     right = dive.sensors[sensor]
     dive = replace(dive, sensors={sensor: replace(right, values=misread(right.values))})
-    settings = load_config("tactical", None, ["evaluation.starts=1", "heading.sd_deg=0.5", "position.sd_m=1"])
+    given = ["dvl.velocity_sd_mps=0.005", "evaluation.starts=1", "heading.sd_deg=0.5", "position.sd_m=1"]
+    settings = load_config("tactical", None, given)
     settings = msgspec.structs.replace(settings, filters=config(sensor).filters)
     replay = replay_dive(dive, settings)
-    assert sorted({note.code for note in replay.notes if note.severity == "warning"}) == told
+    warnings = {note.code for note in replay.notes if note.severity == "warning"}
+    assert sorted(warnings - {"not_evaluated"}) == told
+    # What trusts such a sensor is not evaluated.
+    assert ("not_evaluated" in warnings) == bool(told)
 
 
 @pytest.mark.parametrize(("end_s", "told"), [(50.0, []), (110.0, ["heading_contradiction"])])

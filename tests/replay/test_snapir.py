@@ -1,6 +1,5 @@
 """Real dives of the AUV Snapir, where someone has them: eight runs of 400 s, 650 to 890 m each."""
 
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -90,48 +89,34 @@ def test_every_ping_and_reference_time_is_used_or_counted(replays: dict[str, Rep
         assert (rows["status"] == "compared").all()
 
 
-def test_the_published_model_is_worse_where_dives_turn_and_prediction_is_not_confirmed(
-    replays: dict[str, Replay],
-) -> None:
-    words = {
-        name: Counter(str(replay.verdicts[name].verdict) for replay in replays.values())
-        for name in ("windowed", "published")
-    }
-    predictions = {
-        name: Counter(str(replay.verdicts[name].prediction) for replay in replays.values())
-        for name in ("windowed", "published")
-    }
-    assert not words["windowed"]["worse"]
-    assert words["published"]["worse"] >= 6
-    assert not words["published"]["better"]
-    for name in ("windowed", "published"):
-        assert predictions[name]["not confirmed"] >= 6
-        assert not predictions[name]["confirmed"]
+def test_with_the_papers_noise_nothing_is_evaluated(replays: dict[str, Replay]) -> None:
+    """Its innovations are hundreds of times smaller than this noise says, so the baseline is none that was tuned."""
     for run, replay in replays.items():
+        for name in ("windowed", "published"):
+            found = replay.verdicts[name]
+            assert (found.verdict, found.prediction) == ("not evaluated", "undecided"), run
+            assert "times too large" in found.reason
         if run != STRAIGHT:
             assert 35.0 < finite(replay.verdicts["windowed"].mean_improvement_pct) < 42.0
 
 
-def test_together_the_dives_tell_the_models_apart(replays: dict[str, Replay]) -> None:
+def test_the_rows_of_the_dives_tell_the_models_apart(replays: dict[str, Replay]) -> None:
     """Withheld from the published model, the DVL is missed: it coasts ten times as far off, and no dive says else."""
-    pooled = {
-        name: pooled_candidate(
-            name, "baseline", [[row for row in of_dive if row.filter == name] for of_dive in every], len(RUNS)
-        )
-        for name in ("windowed", "published")
-        for every in [[replay.tables.evidence for replay in replays.values()]]
-    }
-    judged = {name: str(candidate.verdict) for name, candidate in pooled.items()}
-    assert judged == {"windowed": "better", "published": "worse"}
+    pooled = {}
+    for name in ("windowed", "published"):
+        evidence = [[row for row in replay.tables.evidence if row.filter == name] for replay in replays.values()]
+        predicted_pct = [replay.verdicts[name].mean_improvement_pct for replay in replays.values()]
+        pooled[name] = pooled_candidate(name, "baseline", evidence, len(RUNS), predicted_pct, primary="outage_60s")
     rows = {(name, row.quantity): row for name, candidate in pooled.items() for row in candidate.rows}
     for quantity in ("outage_30s", "outage_60s", "outage_120s"):
         published = rows["published", quantity]
         assert (published.verdict, published.dives_won) == ("worse", 0)
         assert finite(published.low) > 10.0
         assert 0.8 < finite(rows["windowed", quantity].ratio) < 1.1
-    windowed = rows["windowed", "level"]
-    assert (windowed.verdict, windowed.dives_won) == ("better", 8)
-    assert rows["windowed", "velocity_along"].dives_won == 8
+    for quantity in ("drift_60s", "velocity_along", "velocity_across", "position"):
+        windowed = rows["windowed", quantity]
+        assert windowed.verdict == "equivalent"
+        assert finite(windowed.acts) < 0.05, "it hardly moves them"
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ def converging(limit: float = 0.01) -> Mapping[str, ConvergenceCurves]:
 
 def evidence(quantity: str, name: str, baseline_s: float | None, value_s: float | None) -> EvidenceRow:
     return EvidenceRow(
-        "dive", name, "convergence", quantity, "s", baseline_s, value_s, 0.5, 0.4, 0.6, 15.0, 15, 0, "better"
+        "dive", name, "convergence", quantity, "s", baseline_s, value_s, 0.5, samples=15, starts=15, role="settling"
     )
 
 

@@ -31,7 +31,7 @@ pytest.importorskip("pyarrow", reason="needs pyarrow")
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "lake.md"
 QUERIES = re.findall(r"^```python\n(.*?)^```", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL)
-NULL_ROW = EvidenceRow("", "aided", "accuracy", "heading", "", *[None] * 6, 1, 0, "undecided")
+NULL_ROW = EvidenceRow("", "aided", "accuracy", "heading", "", *[None] * 6)
 
 
 def digest(text: str) -> str:
@@ -66,10 +66,10 @@ def test_rows_are_those_of_the_report_and_missing_numbers_are_null(tmp_path: Pat
     made = replayed()
     add_to_lake(tmp_path, made)
     frame = pd.read_parquet(tmp_path)
-    rows = pd.DataFrame([asdict(row) for row in made.tables.evidence]).astype({"p": float})
+    rows = pd.DataFrame([asdict(row) for row in made.tables.evidence])
     pd.testing.assert_frame_equal(frame[rows.columns], rows)
-    assert frame["ratio"].isna().tolist() == [False, True, False]
-    assert frame["p"].isna().all()
+    assert frame["ratio"].isna().tolist() == [False, False, False, True, False]
+    assert frame["from_s"].isna().tolist() == [True, True, False, True, True]
     expected = ("better", digest("dive"), digest("old"), "0.1.0", "2026-01-01T00:00:00+00:00")
     identity = ["filter_verdict", "log_sha256", "settings_sha256", "version", "started_at"]
     assert {*frame[identity].itertuples(index=False, name=None)} == {expected}
@@ -227,14 +227,13 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         dive, is_new = f"dive {number // 2}", bool(number % 2)
         rows = [
             EvidenceRow(
-                dive, "aided", "accuracy", quantity, "m", 1.0, 0.8, 0.8 - 0.1 * is_new, 0.7, 0.9, 20.5, 16, 74,
-                "better" if is_new and quantity == "heading" else "undecided",
+                dive, "aided", "accuracy", quantity, "m", 1.0, 0.8,
+                0.9 - 0.1 * (is_new and quantity == "drift_30s") + 0.3 * (number in (7, 8)),
             )
             for quantity in EVIDENCE_QUANTITIES[:10]
         ]  # fmt: skip
         version = "0.2.0" if number >= 900 else "0.1.0"
-        verdict = "worse" if number in (7, 8) else "undecided"
-        made = replayed(dive, "new" if is_new else "old", version, rows=rows, verdict=verdict)
+        made = replayed(dive, "new" if is_new else "old", version, rows=rows, verdict="undecided")
         add_to_lake(folder / "lake", made)
     return folder
 
@@ -258,12 +257,15 @@ def test_queries_of_the_page_answer_within_a_second(archive: Path, monkeypatch: 
     assert len(pd.read_parquet("lake")) == 10_000
     (drift, drift_s), (worse, worse_s), (moved, moved_s) = map(answer, QUERIES)
     assert drift["count"].to_dict() == {"0.1.0": 900, "0.2.0": 100}
-    assert drift["median"].to_dict() == pytest.approx({"0.1.0": 0.75, "0.2.0": 0.75})
+    assert drift["median"].to_dict() == pytest.approx({"0.1.0": 0.9, "0.2.0": 0.85})
     assert sorted(worse[["log", "settings_sha256"]].itertuples(index=False, name=None)) == [
         ("dive 3", digest("new")), ("dive 4", digest("old")),
     ]  # fmt: skip
-    assert len(moved) == 500
-    assert set(moved["quantity"]) == {"heading"}
-    assert set(zip(moved["verdict_old"], moved["verdict_new"], strict=True)) == {("undecided", "better")}
-    assert moved["ratio_new"].to_numpy() == pytest.approx(0.7)
+    by_quantity = moved.groupby("quantity")["log"].unique().map(set).to_dict()
+    assert by_quantity.pop("drift_30s") == {f"dive {number}" for number in range(500)}
+    assert all(dives == {"dive 3", "dive 4"} for dives in by_quantity.values())
+    assert len(by_quantity) == 9
+    clean = moved[~moved["log"].isin(["dive 3", "dive 4"])]
+    assert clean["ratio_old"].to_numpy() == pytest.approx(0.9)
+    assert clean["ratio_new"].to_numpy() == pytest.approx(0.8)
     assert max(drift_s, worse_s, moved_s) < 1.0

@@ -41,10 +41,10 @@ def test_index_leads_to_every_dive_and_says_why_one_failed() -> None:
     links = [attributes["href"] for tag, attributes in document.elements if tag == "a"]
     assert links == ["a%20b/report.html", "two/report.html"] * 2, "from the plot and from the table"
     rows = [row.split("\n") for row in document.texts["tr"]]
-    assert len(rows) == (1 + 3) + (1 + 2), "behind the dives a table of what both say together"
+    assert len(rows) == (1 + 3) + (1 + 4), "behind the dives a table of what both say together"
     assert re.findall(r"\d", document.texts["h1"][0]) == ["3", "1"]
     assert "three.mcap: is empty" in document.texts["td"]
-    assert document.texts["td"][:6] == ["a b", "aided", "better", "drift in 30 s", "0.80", "0.70 .. 0.90"]
+    assert document.texts["td"][:6] == ["a b", "aided", "undecided", "position", "1.20", "40 %"]
 
 
 def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
@@ -56,54 +56,54 @@ def test_index_has_no_columns_of_which_no_dive_can_say_anything() -> None:
 
 
 def dives_of_ratios(*ratios: float) -> list[Report]:
-    """A dive of each ratio of the drift, whose interval is a tenth to either side."""
-    (drift, *others), dives = tables().evidence, []
+    """A dive of each ratio of the position error."""
+    (position, *others), dives = tables().evidence, []
     for number, ratio in enumerate(ratios, 1):
-        values = {"baseline": 1.0, "value": ratio, "ratio": ratio, "low": 0.9 * ratio, "high": 1.1 * ratio}
-        used = msgspec.structs.replace(tables(), evidence=[msgspec.structs.replace(drift, **values), *others])
+        values = {"baseline": 1.0, "value": ratio, "ratio": ratio}
+        used = msgspec.structs.replace(tables(), evidence=[msgspec.structs.replace(position, **values), *others])
         dives.append(report(f"dive{number}", used=used))
     return dives
 
 
-def test_index_starts_with_the_word_the_sentence_and_both_forests() -> None:
+def test_index_starts_with_the_word_the_sentences_and_both_forests() -> None:
     document = Document(index_page(dives_of_ratios(0.82, 0.78, 0.8)).decode())
-    word, against, decided, predicted, counts = document.texts["p"][:5]
+    word, against, decided, acts, _, predicted = document.texts["p"][:6]
     assert (word, against) == ("BETTER", "aided against baseline")
-    assert re.match(r"Drift in 30 s 20\.0\s% smaller on 3 of 3 dives \(95\s% interval over dives: ", decided)
+    assert decided == "Position 0.80 (0.75 .. 0.85), smaller on 3 of 3 dives", "the word is not repeated"
+    assert acts.startswith("Acts: moves the track by 500 mm, 40")
     assert predicted.startswith("Predicted: 6.7")
-    assert counts == "Dive by dive: 3 BETTER."
     rows = [text for text, _ in forest_rows(document)]
-    assert rows[0] == "drift in 30 s0.80 better 3/3"
-    assert rows[-3:] == ["dive20.78 better", "dive30.80 better", "dive10.82 better"], "the smallest ratio first"
+    assert rows[0] == "position0.80 better 3/3"
+    assert rows[-3:] == ["dive21 → 0.78 m", "dive31 → 0.8 m", "dive11 → 0.82 m"], "the smallest ratio first"
 
 
-def test_index_says_why_all_dives_decide_where_one_does_not() -> None:
-    dives = []
-    for found in dives_of_ratios(0.82, 0.78, 0.8):
-        undecided = msgspec.structs.replace(found.filters["aided"], verdict="undecided")
-        dives.append(msgspec.structs.replace(found, filters={"aided": undecided}))
-    word, *_, counts = Document(index_page(dives).decode()).texts["p"][:5]
-    assert (word, counts) == ("BETTER", "Dive by dive: 3 undecided (one dive may not tell, all together do).")
+def test_one_dive_has_neither_word_nor_colour_nor_interval_in_a_forest() -> None:
+    document = Document(index_page(dives_of_ratios(0.82, 0.78, 0.8)).decode())
+    pooled, dives = forest_rows(document)[:3], forest_rows(document)[3:]
+    assert [classes[1] for _, classes in pooled] == ["better"] * 3
+    assert [classes[1] for _, classes in dives] == ["undecided"] * 3
+    assert document.count("line", "interval") == 3
 
 
 def test_index_of_two_dives_draws_no_interval_and_says_why() -> None:
     document = Document(index_page(dives_of_ratios(0.9, 0.7)).decode())
-    (pooled, _), *dives = forest_rows(document)
-    assert pooled == "drift in 30 s0.79 undecided 2/2 ¹"
-    assert "¹\N{NO-BREAK SPACE}fewer than 3 dives." in document.texts["p"]
-    assert document.count("line", "interval") == len(dives) == 2
+    assert forest_rows(document)[0][0] == "position0.79 undecided 2/2"
+    assert any(text.startswith("A verdict takes 3 dives; ") for text in document.texts["p"])
+    assert document.count("line", "interval") == 0
 
 
 def test_index_of_many_dives_draws_the_largest_effects() -> None:
     document = Document(index_page(dives_of_ratios(*(1.0 - 0.01 * number for number in range(25)))).decode())
     drawn = [text for text, _ in forest_rows(document) if text.startswith("dive")]
-    assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive250.76 better", "dive60.95 better")
+    assert (len(drawn), drawn[0], drawn[-1]) == (20, "dive251 → 0.76 m", "dive61 → 0.95 m")
     assert any("the 20 largest effects of 25" in title for title in document.texts["h3"])
 
 
 def test_index_has_the_section_of_a_candidate_that_only_one_dive_has() -> None:
     document = Document(index_page([report("one"), Failure("two", "two.mcap: is empty")]).decode())
-    assert document.texts["p"][:2] == ["BETTER", "aided against baseline"]
+    word, against, statement = document.texts["p"][:3]
+    assert (word, against) == ("one dive", "aided against baseline")
+    assert statement.startswith("On this dive position 20.0")
     assert "Evidence on one alone" in document.texts["h3"]
 
 

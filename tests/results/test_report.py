@@ -20,10 +20,9 @@ from insdvl_replay.cli.utilities import SCHEMAS, json_schema
 from insdvl_replay.core.errors import ConfigError
 from insdvl_replay.core.result import Block, Tool, decode_report
 from insdvl_replay.core.result import as_json as encode_report
-from insdvl_replay.core.tables import (
-    ConvergenceRow,
-)
+from insdvl_replay.core.tables import AssayRow, ConvergenceRow
 from insdvl_replay.core.words import Reason
+from insdvl_replay.evaluation.answers import pooled_evidence
 from insdvl_replay.results.folder import COMPLETE, result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.show.answers import Failure, verdict_in_table
@@ -54,15 +53,18 @@ HEADERS = {
         "log,filter,quantity,dof,samples,mean_nees,low,high,within_1sd_pct,within_3sd_pct,verdict,effective_samples,why"
     ),
     "evidence": (
-        "log,filter,evidence,quantity,unit,baseline,value,ratio,low,high,effective_samples,starts,windows,verdict,p,why"
+        "log,filter,evidence,quantity,unit,baseline,value,ratio,moves,acts,reference_noise,samples,starts,from_s,role"
     ),
     "outage": "log,filter,window_s,windows,left_out,drift_median_m,drift_rms_m,drift_p95_m,drift_of_distance_pct,"
-    "end_velocity_mps,vertical_median_m,ratio_to_baseline,ratio_low,ratio_high,windows_won_pct,nis_per_dof",
+    "end_velocity_mps,vertical_median_m,ratio_to_baseline,windows_won_pct,nis_per_dof",
     "drift": "log,filter,quantity,unit,samples,p50,p95,rms,worst,worst_from_s,worst_to_s,"
     "final,distance_m,final_of_distance_pct",
     "track_fit": "log,filter,quantity,unit,fitted,fitted_sd",
 }
 """What other people's scripts rely on."""
+CONTROL = AssayRow("dive", "gyro_noise_x3", "position", "m", 1.25, 1.5, 1.2, "primary")
+WHOLE = replace(tables(), assay=[CONTROL])
+"""Every table has a row."""
 SCHEMA_FOLDER = Path(__file__).resolve().parents[2] / "schemas"
 
 
@@ -93,8 +95,9 @@ def test_mean_is_missing_when_a_standard_deviation_is_not_finite() -> None:
 
 
 def test_report_json_holds_the_tables_row_for_row() -> None:
-    document = json.loads(encode_report(report()), parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
-    for name, table in frames(tables()).items():
+    data = encode_report(report(used=WHOLE))
+    document = json.loads(data, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+    for name, table in frames(WHOLE).items():
         expected = [
             {key: None if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
             for row in table.to_dict("records")
@@ -118,7 +121,8 @@ def test_report_survives_being_saved_and_read() -> None:
     first = encode_report(report())
     assert encode_report(report()) == first
     assert encode_report(decode_report(first)) == first
-    assert set(json.loads(first)["tool"].values()) == {"insdvl-replay", Tool().version, None}
+    tool = {"name": "insdvl-replay", "version": Tool().version, "cpu_s": {}}
+    assert json.loads(first)["tool"] == {key: tool.get(key) for key in Tool.__struct_fields__}
 
 
 def test_report_from_before_there_were_these_columns_is_still_read() -> None:
@@ -238,20 +242,21 @@ def test_what_a_dive_without_a_reference_cannot_say_is_said_once_and_nothing_is_
     assert NO_REFERENCE not in as_markdown(dive_document(report()))
 
 
-@pytest.mark.parametrize(("quantity", "shown"), [("drift_60s", "undecided"), ("depth_60s", "(undecided)")])
-def test_a_word_without_a_vote_is_in_brackets(quantity: str, shown: str) -> None:
-    row = replace(tables().evidence[0], quantity=quantity, verdict="undecided")
-    assert verdict_in_table(row) == shown
-    assert f"| {shown} |" in as_markdown(dive_document(replace(report(), tables=replace(tables(), evidence=[row]))))
-    assert not verdict_in_table(replace(row, verdict="")), "what is not evaluated has no word"
+def test_a_word_that_neither_decides_nor_warns_is_in_brackets_and_one_dive_has_none() -> None:
+    """Three equal dives leave no doubt of any ratio."""
+    together, alone = (pooled_evidence("aided", [tables().evidence] * dives) for dives in (3, 1))
+    assert {row.quantity: verdict_in_table(row) for row in together} == {
+        "position": "worse", "level": "better", "convergence_level": "", "drift_30s": "(better)",
+    }  # fmt: skip
+    assert {verdict_in_table(row) for row in alone} == {""}
 
 
 def test_markdown_tables_have_one_cell_per_column() -> None:
     lines = [line for line in as_markdown(dive_document(report())).split("\n") if line.startswith("|")]
-    # Of the three pieces of evidence one has no numbers.
-    assert len(lines) == 2 + 2 + 2 + 3 + 2 + 1 + 12 + 12 + 2 + 3 + 4 + 5 + 12 * 2
+    # Of the five pieces of evidence one has no numbers.
+    assert len(lines) == 2 + 4 + 2 + 3 + 2 + 1 + 12 + 12 + 2 + 3 + 4 + 5 + 12 * 2
     assert not any("level settled" in line for line in lines)
-    assert {line.count("|") for line in lines} == {6, 7, 8, 9, 10, 11, 12}
+    assert {line.count("|") for line in lines} == {6, 7, 8, 9, 10, 11}
     assert any(line.endswith(", z | mg | 1.000 | 0.8000 | - | improved |") for line in lines)
 
 
@@ -263,8 +268,8 @@ def test_latex_escapes_what_latex_would_read() -> None:
 
 
 def test_csv_of_a_report_is_cut_apart_by_its_first_column() -> None:
-    text = render(replay_result(report(), []), "csv")
-    for name, table in frames(tables()).items():
+    text = render(replay_result(report(used=WHOLE), []), "csv")
+    for name, table in frames(WHOLE).items():
         block = next(block for block in text.split("\n\n") if f"\n{name}," in block)
         assert block.split("\n")[0] == ",".join(["table", *table.columns])
         assert sum(line.startswith(f"{name},") for line in text.split("\n")) == len(table)
@@ -330,7 +335,7 @@ def write_result(
             raise interruption
 
 
-def verdict_of_interval(target: Path) -> str:
+def word_in(target: Path) -> str:
     return str(json.loads((target / COMPLETE).read_bytes())["word"])
 
 
@@ -374,7 +379,7 @@ def test_folder_leaves_nothing_behind_and_the_old_one_alone(tmp_path: Path, inte
     with pytest.raises(interruption):
         write_result(target, "half", force=True, interruption=interruption)
     assert list(tmp_path.iterdir()) == [target]
-    assert verdict_of_interval(target) == "old"
+    assert word_in(target) == "old"
 
 
 def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
@@ -383,7 +388,7 @@ def test_folder_is_replaced_only_when_asked_to(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="dive: exists"):
         write_result(target, "new")
     write_result(target, "new", force=True)
-    assert verdict_of_interval(target) == "new"
+    assert word_in(target) == "new"
     assert list(tmp_path.iterdir()) == [target]
 
 

@@ -19,7 +19,7 @@ from insdvl_replay.results.result_files import save_replay
 SAMPLE = Path(__file__).parents[2] / "sample_logs" / "figure_eight.mcap"
 FILES = {
     "improvement.csv", "convergence.csv", "reference_error.csv", "consistency.csv",
-    "credibility.csv", "evidence.csv", "outage.csv", "drift.csv", "track_fit.csv", "jumps.csv",
+    "credibility.csv", "evidence.csv", "outage.csv", "drift.csv", "track_fit.csv", "jumps.csv", "assay.csv",
     "report.json", "report.html", "replay.mcap", "foxglove.json", "plotjuggler.xml", "trajectory.npz",
     "config.toml", "run.log",
 }  # fmt: skip

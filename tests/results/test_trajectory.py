@@ -95,7 +95,16 @@ def test_what_is_missing_is_no_number() -> None:
 def test_a_result_without_trajectories_is_replayed_when_they_are_asked_for(
     result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["run", str(result.parent / "dive.mcap"), "-o", str(tmp_path), "--preset", "levy-klein"]
+    arguments = [
+        "run",
+        str(result.parent / "dive.mcap"),
+        "-o",
+        str(tmp_path),
+        "--preset",
+        "fog",
+        "--set",
+        "dvl.beam_sd_mps=0.006",
+    ]
     for more, begins, expected in (
         ([], "wrote", []),
         (["--tum", "--force"], "wrote", ["filter_aided.tum", "filter_baseline.tum", "reference.tum"]),

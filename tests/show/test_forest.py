@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from insdvl_replay.core.words import Verdict
+from insdvl_replay.core.words import EvidenceVerdict, Settling, Verdict
 from insdvl_replay.show.first_screen import LEFT, RIGHT, ForestRow, axis_end, forest, place, tone_class
 from insdvl_replay.show.plot import style_sheet
 
@@ -98,9 +98,14 @@ def test_verdicts_are_readable_in_the_light_in_the_dark_and_on_paper() -> None:
             assert (high + 0.05) / (low + 0.05) >= 4.5, name
 
 
-def test_every_verdict_has_a_colour() -> None:
-    for verdict in Verdict:
-        assert f".{tone_class(verdict)}" in style_sheet()
+def test_every_word_has_a_colour() -> None:
+    """A rule of the style sheet has all classes of a line in front of what they set."""
+    coloured = {
+        name
+        for selectors in re.findall(r"^(.*?) \{ --tone: ", style_sheet(), re.M)
+        for name in selectors.replace(".", "").split(", ")
+    }
+    assert {tone_class(word) for words in (Verdict, EvidenceVerdict, Settling) for word in words} == coloured
 
 
 def test_ends_that_are_not_finite_leave_no_broken_places() -> None:

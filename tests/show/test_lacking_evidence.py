@@ -10,7 +10,8 @@ from insdvl_replay.cli.messages import MOST_FINDINGS, log_findings, log_notes
 from insdvl_replay.core.errors import Note
 from insdvl_replay.core.result import Report
 from insdvl_replay.core.words import Severity, Verdict
-from insdvl_replay.show.answers import answers_of, evidence_text, lacking_evidence
+from insdvl_replay.evaluation.sentences import headline
+from insdvl_replay.show.answers import answers_of, lacking_evidence
 
 
 def bare(name: str, duration_s: float) -> Report:
@@ -22,8 +23,8 @@ def bare(name: str, duration_s: float) -> Report:
 
 def test_a_short_dive_without_reference_says_what_it_lacks() -> None:
     (answer,) = answers_of([bare("dive", 60.0)])
-    assert evidence_text(answer) == (
-        "no evidence: no reference, and too short for the outage test (needs 160 s, has 60 s)"
+    assert headline(answer) == (
+        "UNDECIDED, no evidence: no reference, and too short for the outage test (needs 160 s, has 60 s)"
     )
     (both,) = answers_of([bare("one", 60.0), bare("two", 60.0)])
     assert both.reason == answer.reason
@@ -46,7 +47,7 @@ def test_warnings_of_several_dives_name_their_dive(capsys: pytest.CaptureFixture
 
 def test_findings_beyond_the_screen_are_counted_without_their_codes(capsys: pytest.CaptureFixture[str]) -> None:
     notes = [Note(f"found_{number}", f"finding {number}") for number in range(MOST_FINDINGS + 2)]
-    assert log_findings(notes, Path("vehicle.toml"))
+    log_findings(notes, Path("vehicle.toml"))
     last = capsys.readouterr().err.splitlines()[-1]
     assert "2 more" in last
     assert "found_" not in last

@@ -46,7 +46,7 @@ def test_the_command_next_to_the_logs_names_them_all() -> None:
 
 @pytest.fixture(scope="module")
 def straight() -> Replay:
-    return replay_log(SAMPLES / "straight.mcap", load_config(overrides=["evaluation.starts=1"]))
+    return replay_log(SAMPLES / "straight.mcap", load_config("levy-klein", overrides=["evaluation.starts=1"]))
 
 
 def test_straight_line_improves_as_much_as_the_paper_says(straight: Replay) -> None:
@@ -91,6 +91,6 @@ def test_papers_time_of_roll_and_pitch_is_that_of_their_worst_point(straight: Re
 
 
 def test_figure_eight_improves_as_much_as_the_paper_says() -> None:
-    replay = replay_log(SAMPLES / "figure_eight.mcap", load_config(overrides=["evaluation.starts=1"]))
+    replay = replay_log(SAMPLES / "figure_eight.mcap", load_config("levy-klein", overrides=["evaluation.starts=1"]))
     assert mean_over_nine(replay.tables.improvement, "aided") == pytest.approx(40.0, abs=2.0)
     assert nearest_over_nine(replay.tables.convergence, "aided") == pytest.approx(54.0, abs=2.0)

@@ -397,7 +397,7 @@ def test_log_is_studied_like_a_scenario(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_settings_of_one_vehicle_do_not_bend_a_scenario() -> None:
     overrides = ["dvl.scale=1.1", "initial.source=level", "initial.accel_bias_mg=[5, 5, 5]", "initial.heading_deg=0.0"]
-    bent = study_observability("straight", load_config(overrides=overrides), earth_rate=False)
+    bent = study_observability("straight", load_config("levy-klein", overrides=overrides), earth_rate=False)
     pd.testing.assert_frame_equal(bent.tables["ranks"], study("straight", earth_rate=False).tables["ranks"])
 
 

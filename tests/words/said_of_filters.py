@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from as_text import Cases, noted
 from made_histories import history
-from made_verdicts import judged
+from made_verdicts import evidence_row, judged
 
 from insdvl_replay.evaluation.notes import update_notes
 from insdvl_replay.evaluation.verdicts import diverged_filters
@@ -16,37 +16,37 @@ from insdvl_replay.preparation.prepared import outage_notes
 UNSOUND = {"aided": "aided rejected 209 of 300"}
 CAUTIOUS = {"of_aided": "conservative", "of_baseline": "conservative"}
 CONFIDENT = {"of_aided": "overconfident"}
-JUDGED: tuple[tuple[tuple[Any, ...], dict[str, Any]], ...] = (
-    ((["better"],), {}),
-    ((["better"], 40.0, (0.6, 0.5, 0.7)), {"of_consistency": "better"}),
-    ((["better"],), {"of_consistency": "worse"}),
-    ((["better"], -30.0), {}),
-    ((["better"],), {"kind": "outage"}),
-    ((["better"],), {"kind": "outage", "samples": 0}),
-    ((["better"],), {"independent": False}),
-    ((["worse"], 40.0, (1.75, 1.5, 2.0)), {"of_consistency": "worse", **CONFIDENT}),
-    ((["worse"],), {"of_consistency": "better"}),
-    ((["better", "worse"],), {}),
-    ((["equivalent"], 40.0, (1.0, 0.99, 1.01)), {"starts": 1}),
-    ((["equivalent", "undecided", "equivalent", "undecided"],), {}),
-    ((["undecided", "equivalent"],), {}),
-    (([],), {}),
-    ((["better"],), {"unsound": UNSOUND, "of_baseline": "overconfident"}),
-    ((["better"],), {"unsound": {"baseline": "baseline rejected 209 of 300"}, "of_baseline": "overconfident"}),
-    ((["undecided"],), {"errors_of_aided": "overconfident"}),
-    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "insufficient data"}),
-    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "no reference"}),
-    ((["undecided"],), {**CONFIDENT, "errors_of_aided": "overconfident"}),
-    ((["undecided"],), {"of_aided": "insufficient data", "errors_of_aided": "overconfident"}),
-    ((["undecided"],), {**CAUTIOUS, "errors_of_aided": "insufficient data", "errors_of_baseline": "insufficient data"}),
-    ((["undecided"],), {**CAUTIOUS, "errors_of_aided": "overconfident", "errors_of_baseline": "insufficient data"}),
+SMALLER = {"position": 0.8}
+# Ratios of one dive by quantity, and what is said of both filters.
+JUDGED: tuple[tuple[dict[str, float], dict[str, Any]], ...] = (
+    (SMALLER, {}),
+    ({"position": 0.8, "level": 1.4, "convergence_level": 0.7}, {}),
+    ({"position": 3.5}, {"predicted_pct": -30.0}),
+    ({"outage_60s": 0.8, "drift_60s": 1.2}, {}),
+    ({"drift_60s": 0.8}, {}),
+    ({"drift_60s": 0.8}, {"primary": "drift_60s"}),
+    ({}, {}),
+    (SMALLER, {"unsound": UNSOUND, "of_baseline": "overconfident"}),
+    (SMALLER, {"unsound": {"aided": "the depth contradicts the track"}}),
+    (SMALLER, {"errors_of_aided": "overconfident"}),
+    (SMALLER, {**CONFIDENT, "errors_of_aided": "insufficient data"}),
+    (SMALLER, {**CONFIDENT, "errors_of_aided": "no reference"}),
+    (SMALLER, {**CONFIDENT, "errors_of_aided": "overconfident"}),
+    (SMALLER, {"of_aided": "insufficient data", "errors_of_aided": "overconfident"}),
+    (SMALLER, {**CAUTIOUS, "errors_of_aided": "insufficient data", "errors_of_baseline": "insufficient data"}),
+    (SMALLER, {**CAUTIOUS, "errors_of_aided": "overconfident", "errors_of_baseline": "insufficient data"}),
 )
+ACTS = (0.0, 0.005, 0.03, 0.5)  # From a copy to a candidate that is another filter.
 
 
 def said_of_filters(_: Path) -> Cases:
     """Return the sentences of candidates, and of filters that are not evaluated."""
-    for positional, named in JUDGED:
-        yield f"{positional} {named or ''}".rstrip(), judged(*positional, **named).sentence
+    for ratios, named in JUDGED:
+        rows = [evidence_row(quantity, ratio) for quantity, ratio in ratios.items()]
+        yield f"{ratios} {named or ''}".rstrip(), judged(rows, **named).sentence
+    for acts in ACTS:
+        rows = [evidence_row(quantity, 1.0, acts=acts) for quantity in ("position", "level")]
+        yield f"acts by {acts:g}", judged(rows).sentence
     many = history("many", np.full(100, 3.0), np.arange(100) >= 11)
     lost = history("lost", np.full(300, 3.0))
     lost = replace(lost, innovations=(replace(lost.innovations[0], gate=25.9, reopened=np.arange(300) < 4),))

@@ -55,7 +55,7 @@ NAMES: tuple[dict[str, Any], ...] = (
     {"table": "filters", "column": "mean_improvement_pct", "row": "aidd"},
     {"filter": "baseline"},
     {"column": "status"},
-    {"table": "evidence", "column": "why", "equals": ""},
+    {"table": "filters", "column": "reason", "equals": ""},
     {"table": "filters", "column": "sentence", "equals": "x"},
     {"column": "sdd"},
     {"filter": "aidde"},

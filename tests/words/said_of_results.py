@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 from as_text import Cases, refusal, spoken
 from made_reports import report, tables
 from msgspec.structs import replace
@@ -13,8 +12,8 @@ from insdvl_replay.changes.comparison import compare_results
 from insdvl_replay.changes.comparison_document import comparison_document
 from insdvl_replay.core.dive_record import unique_names
 from insdvl_replay.core.words import Reason
-from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
-from insdvl_replay.evaluation.series import dives_ratio, what_settles
+from insdvl_replay.evaluation.answers import pooled_candidate
+from insdvl_replay.evaluation.sentences import paragraph
 from insdvl_replay.results.folder import result_file, result_folder
 from insdvl_replay.results.result_files import run_log
 from insdvl_replay.results.stored_results import read_results
@@ -44,6 +43,16 @@ COMPARED = (
     ["old", "broken"],
     ["old", "list"],
     ["old", "future"],
+)
+# Several dives: what their paragraph is about, the ratio of position on each dive, and that of the level.
+POOLED = (
+    ("better", (0.79, 0.8, 0.81), 0.8),
+    ("mixed", (0.79, 0.8, 0.81), 1.4),
+    ("worse", (1.19, 1.2, 1.21), 0.8),
+    ("equivalent", (1.0, 1.01, 0.99), 1.0),
+    ("undecided", (0.8, 1.2, 1.0), 0.8),
+    ("two dives", (0.8, 0.8), 0.8),
+    ("one dive", (0.8,), 0.8),
 )
 
 
@@ -129,10 +138,13 @@ def of_reports() -> Cases:
     yield "the track's fit", "\n".join(track_fit_line(made))
     lost = replace(made.filters["aided"], mean_improvement_pct=-66.9, mean_convergence_improvement_pct=-2.04)
     yield "worse than before", as_markdown(dive_screen(replace(made, filters={"aided": lost}), "report.html"))
-    scatter = 0.04 * np.array([-1.0, 0.0, 1.0])
-    yield "how many dives would settle it", what_settles(dives_ratio(scatter), 3)
-    pooled = pooled_candidate("aided", "baseline", [made.tables.evidence] * 3, 3)
-    yield "three dives together", pooled_sentence(pooled)
+    evidence = made.tables.evidence
+    for name, ratios, level in POOLED:
+        dives = [
+            [replace(row, ratio=level if row.quantity == "level" else ratio) for row in evidence if row.ratio]
+            for ratio in ratios
+        ]
+        yield f"dives together: {name}", paragraph(pooled_candidate("aided", "baseline", dives, len(dives), [6.7]))
 
 
 def of_files(folder: Path) -> Cases:

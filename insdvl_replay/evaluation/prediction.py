@@ -1,0 +1,128 @@
+"""How well a filter predicts the DVL: the log score of held-out velocities, one step ahead and in DVL outages.
+
+The score of a ping is the logarithm of the density that the filter gave to what was measured, before it used it. It
+rewards small errors and honest sigmas alike, needs no reference, and a late reference cannot turn it round. It is blind
+to errors that filter and DVL share: heading, scale, position.
+
+Source: Gneiting and Raftery, "Strictly proper scoring rules, prediction, and estimation", 2007.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from insdvl_replay.core.dive_columns import NS_PER_S, Floats, TimeNs
+from insdvl_replay.core.history import History, Innovations
+from insdvl_replay.core.quantities import is_beam
+from insdvl_replay.evaluation.outage_test import OutageRuns
+
+WINDOWS_S: Final = (60, 30)  # The longest of these that the dive has.
+
+
+class Score(NamedTuple):
+    """How two filters predict the same pings: minus the mean log score, nat per component of a measurement."""
+
+    baseline: float
+    value: float
+    pings: int
+
+    @property
+    def ratio(self) -> float:
+        """The ratio of the mean densities, baseline over candidate: the smaller, the better the candidate predicts."""
+        difference = self.value - self.baseline
+        return math.exp(difference) if difference < 700.0 else math.inf if difference == difference else math.nan
+
+
+class _Pings(NamedTuple):
+    time_ns: TimeNs  # (m,)
+    scores: Floats  # (m,), minus log score of a ping, nat
+    dof: int
+
+
+def prediction_of(baseline: History, candidate: History, outages: OutageRuns, settled_s: float) -> Score | None:
+    """Compare how two filters predict the DVL; None where they do not predict the same measurements.
+
+    The mean is that of two means of equal weight, where both are known: of the pings one step ahead, after the
+    baseline has settled, and of the pings inside the windows of the outage test.
+    """
+    parts = [_one_step(baseline, candidate, settled_s), _in_outages(baseline.filter, candidate.filter, outages)]
+    known = [part for part in parts if part is not None]
+    if not known:
+        return None
+    before, after = (float(np.mean([part[place] for part in known])) for place in (0, 1))
+    return Score(before, after, sum(part.pings for part in known))
+
+
+def _one_step(baseline: History, candidate: History, settled_s: float) -> Score | None:
+    pings = [_pings_of(history) for history in (baseline, candidate)]
+    if not pings[0] or pings[0].keys() != pings[1].keys():
+        return None
+    sums, dof, count = [0.0, 0.0], 0, 0
+    from_ns = int(baseline.time_ns[0]) + round(settled_s * NS_PER_S)
+    for name, before in pings[0].items():
+        after = pings[1][name]
+        _, rows, new_rows = np.intersect1d(before.time_ns, after.time_ns, return_indices=True)
+        scores, new_scores = before.scores[rows], after.scores[new_rows]
+        known = (before.time_ns[rows] >= from_ns) & np.isfinite(scores) & np.isfinite(new_scores)
+        sums[0] += float(scores[known].sum())
+        sums[1] += float(new_scores[known].sum())
+        dof += before.dof * int(known.sum())
+        count += int(known.sum())
+    if not dof:
+        return None
+    return Score(sums[0] / dof, sums[1] / dof, count)
+
+
+def _pings_of(history: History) -> Mapping[str, _Pings]:
+    """Return the pings that a filter is aided by, by measurement: the velocity, or the beams."""
+    return {
+        met.measurement: _Pings(met.time_ns, _minus_log_score(met), met.dof)
+        for met in history.innovations
+        if (met.measurement == "velocity" or is_beam(met.measurement)) and not met.is_held_out and len(met.time_ns)
+    }
+
+
+def _minus_log_score(met: Innovations) -> Floats:
+    """Return minus the log score of each ping. One beyond the gate counts as much as the gate is."""
+    return np.asarray(0.5 * (met.weight * met.nis + met.log_det + met.dof * math.log(2.0 * math.pi)))
+
+
+def _in_outages(baseline: str, candidate: str, outages: OutageRuns) -> Score | None:
+    if baseline not in outages.runs or candidate not in outages.runs:
+        return None
+    by_length = {windows.window_s: windows for windows in outages.plan.by_length if len(windows.first)}
+    chosen = next((by_length[window_s] for window_s in WINDOWS_S if window_s in by_length), None)
+    if chosen is None:
+        return None
+    rows = np.searchsorted(outages.plan.runs[0], chosen.first)
+    scores = []
+    for name in (baseline, candidate):
+        runs = outages.runs[name]
+        ends = zip(rows, chosen.last - chosen.first, strict=True)
+        scores.append(np.concatenate([runs[row].minus_log_score[1 : step + 1] for row, step in ends]))
+    known = np.isfinite(scores[0]) & np.isfinite(scores[1])
+    if scores[0].shape != scores[1].shape or not known.any():
+        return None
+    before, after = (float(values[known].mean()) / 3.0 for values in scores)
+    return Score(before, after, int(known.sum()))
+
+
+def crps(error: Floats, sigma: Floats) -> float:
+    """Return the mean continuous ranked probability score of normal predictions, in the unit of the error.
+
+    Parameters
+    ----------
+    error, sigma : arrays of the same shape
+        Error and standard deviation of each component.
+    """
+    from scipy.special import erf
+
+    known = np.isfinite(error) & np.isfinite(sigma) & (sigma > 0.0)
+    if not known.any():
+        return math.nan
+    z = error[known] / sigma[known]
+    density = np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
+    share = erf(z / math.sqrt(2.0))  # 2 Phi(z) - 1
+    return float(np.mean(sigma[known] * (z * share + 2.0 * density - 1.0 / math.sqrt(math.pi))))

@@ -1,0 +1,74 @@
+"""How many dives it takes: what the dives of a result can find in each quantity, and how many find smaller changes."""
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated, ClassVar, Final
+
+from msgspec import Struct
+
+from insdvl_replay.core.quantities import FEWEST_DIVES
+from insdvl_replay.core.result import Block, Part, Report, Result, Title
+from insdvl_replay.core.tables import Col, Number, PooledRow, finite
+from insdvl_replay.core.words import Role
+from insdvl_replay.evaluation.answers import CandidateAnswer
+from insdvl_replay.evaluation.interval import change_found, dives_needed
+from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS
+from insdvl_replay.show.answers import answers_of
+from insdvl_replay.show.document import shown
+
+SOUGHT_PCT: Final = (20.0, 10.0, 7.0)  # Changes for which a number of dives is given.
+
+
+class PlanRow(Struct, frozen=True):
+    """One quantity of a candidate: the change that these dives find, and the dives that find smaller ones."""
+
+    title: ClassVar = "Dives that find a change in four of five cases"
+    footnote: ClassVar = (
+        "finds: the change that these dives find. 20 %, 10 %, 7 %: the number of dives that find so much; empty: more "
+        "than a thousand. Scatter: standard deviation of the logarithm of the ratio over dives; of fewer than three "
+        "dives it is taken as 0.6 of how far the candidate acts."
+    )
+
+    filter: Annotated[str, Col("Candidate and quantity.", head="filter")]
+    quantity: Annotated[str, Col(head="quantity", form="label")]
+    role: Annotated[str, Col("primary (it decides), secondary, or shown.", head="role")]
+    dives: Annotated[int, Col("Dives with a ratio.", head="dives")]
+    scatter: Annotated[Number, Col("Standard deviation of the logarithm of the ratio.", head="scatter", form="3")]
+    finds_pct: Annotated[Number, Col("Change that so many dives find.", head="finds\n[%]", form="0")]
+    dives_20pct: Annotated[int | None, Col("Dives that find a change of so many percent.", head="20 %")]
+    dives_10pct: Annotated[int | None, Col(head="10 %")]
+    dives_7pct: Annotated[int | None, Col(head="7 %")]
+
+
+def plan_rows(answers: Sequence[CandidateAnswer]) -> Iterator[PlanRow]:
+    """Yield a row for each candidate and each quantity whose scatter is known or can be guessed."""
+    for answer in answers:
+        for row in answer.known:
+            if row.role in (Role.PRIMARY, Role.SECONDARY):
+                yield _plan_row(row)
+
+
+def _plan_row(row: PooledRow) -> PlanRow:
+    level = finite(row.level_pct) / 100.0
+    is_known = row.dives >= FEWEST_DIVES
+    scatter = finite(row.scatter) if is_known else SCATTER_OF_ACTS * finite(row.acts)
+    found = change_found(scatter, row.dives, level)
+    needed = [dives_needed(scatter, 1.0 - sought_pct / 100.0, level) for sought_pct in SOUGHT_PCT]
+    finds_pct = 100.0 * (1.0 - found) if found == found else None
+    return PlanRow(
+        row.filter,
+        row.quantity,
+        row.role,
+        row.dives,
+        scatter if scatter == scatter else None,
+        finds_pct,
+        *needed,
+    )
+
+
+def plan_result(reports: Sequence[Report]) -> Result:
+    """Return the plan of a result's dives."""
+    rows = list(plan_rows(answers_of(reports)))
+    title = f"What {len(reports)} dives find"
+    parts: list[Part] = [Title(title)]
+    parts.append(shown(PlanRow, rows) if rows else "There is no evidence to plan with.")
+    return Result(kind="plan", title=title, tables={"plan": Block.of(PlanRow, rows)}, block="", document=parts)

@@ -1,0 +1,101 @@
+"""The plan says what the dives of a result find, and how many find less, by the power of Student's test."""
+
+import msgspec
+import numpy as np
+import pytest
+from made_reports import report, tables
+from made_verdicts import evidence_row
+from scipy import stats
+
+from insdvl_replay.core.quantities import FEWEST_DIVES
+from insdvl_replay.core.words import Role
+from insdvl_replay.evaluation.answers import CandidateAnswer, pooled_candidate
+from insdvl_replay.evaluation.interval import BAND, LEVEL, MOST_DIVES, POWER
+from insdvl_replay.evaluation.sentences import SCATTER_OF_ACTS
+from insdvl_replay.show.plan import SOUGHT_PCT, PlanRow, plan_result, plan_rows
+
+
+def answer(ratios: dict[str, list[float]], acts: float = 0.5) -> CandidateAnswer:
+    """Return the answer of dives with these ratios, by quantity."""
+    dives = len(next(iter(ratios.values())))
+    rows = [
+        [evidence_row(quantity, values[place], acts=acts, log=f"dive {place}") for quantity, values in ratios.items()]
+        for place in range(dives)
+    ]
+    return pooled_candidate("aided", "baseline", rows, dives)
+
+
+def row_of(quantity: str, found: CandidateAnswer) -> PlanRow:
+    (row,) = (row for row in plan_rows([found]) if row.quantity == quantity)
+    return row
+
+
+def power(change_pct: float, scatter: float, dives: int) -> float:
+    """Return how often so many dives find a change: its interval lies wholly below the band."""
+    shift = -np.log(1.0 - change_pct / 100.0) - np.log(BAND)
+    quantile = stats.t.ppf(0.5 + 0.5 * LEVEL, dives - 1)
+    return float(stats.nct.sf(quantile, dives - 1, shift / (scatter / np.sqrt(dives))))
+
+
+def test_change_that_these_dives_find_is_found_in_four_of_five_cases() -> None:
+    row = row_of("position", answer({"position": [0.7, 0.8, 0.9, 1.0, 0.85]}))
+    assert (row.filter, row.role, row.dives) == ("aided", Role.PRIMARY, 5)
+    assert row.scatter == pytest.approx(np.std(np.log([0.7, 0.8, 0.9, 1.0, 0.85]), ddof=1))
+    assert row.finds_pct is not None
+    assert power(row.finds_pct, row.scatter, 5) == pytest.approx(POWER, abs=1e-3)
+
+
+def test_numbers_of_dives_are_the_fewest_that_find_their_change() -> None:
+    row = row_of("position", answer({"position": [0.7, 0.8, 0.9, 1.0, 0.85]}))
+    assert row.scatter is not None
+    for change_pct, dives in zip(SOUGHT_PCT, (row.dives_20pct, row.dives_10pct, row.dives_7pct), strict=True):
+        assert dives is not None
+        assert power(change_pct, row.scatter, dives) >= POWER > power(change_pct, row.scatter, dives - 1)
+    assert row.dives_20pct < row.dives_10pct < row.dives_7pct
+
+
+def test_scatter_of_fewer_than_three_dives_is_taken_from_how_far_the_candidate_acts() -> None:
+    row = row_of("position", answer({"position": [0.9, 0.8]}, acts=0.3))
+    assert row.dives == 2
+    assert row.dives < FEWEST_DIVES
+    assert row.scatter == pytest.approx(SCATTER_OF_ACTS * 0.3)
+    assert row.finds_pct is None, "they find nothing"
+    assert row.dives_10pct is not None
+    assert power(10.0, row.scatter, row.dives_10pct) >= POWER
+
+
+def test_more_dives_than_a_thousand_are_no_plan() -> None:
+    row = row_of("position", answer({"position": [0.1, 9.0, 0.2, 5.0]}))
+    assert row.scatter is not None
+    assert power(7.0, row.scatter, MOST_DIVES) < POWER
+    assert row.dives_7pct is None
+
+
+def test_rows_that_are_only_shown_have_no_plan() -> None:
+    found = answer({"position": [0.9] * 3, "drift_30s": [0.9] * 3, "convergence_level": [0.9] * 3})
+    assert [row.quantity for row in plan_rows([found])] == ["position"]
+
+
+def test_secondary_rows_that_may_warn_have_a_level_of_their_own() -> None:
+    """Holm asks more of each of several, so that they find less than the primary one with the same scatter."""
+    ratios = [0.9, 1.0, 1.1, 0.95]
+    found = answer({"position": ratios, "drift_60s": ratios, "level": ratios, "heading": ratios})
+    position, level = row_of("position", found), row_of("level", found)
+    assert level.role == Role.SECONDARY
+    assert level.scatter == pytest.approx(position.scatter)
+    assert level.finds_pct is not None
+    assert position.finds_pct is not None
+    assert level.finds_pct > position.finds_pct
+
+
+def test_plan_of_a_result_has_a_row_for_each_quantity() -> None:
+    result = plan_result([report("one"), report("two")])
+    assert result.kind == "plan"
+    rows = result.tables["plan"].rows
+    assert [(row[0], row[1]) for row in map(list, rows)] == [("aided", "position"), ("aided", "level")]
+
+
+def test_plan_without_evidence_says_so() -> None:
+    bare = msgspec.structs.replace(tables(), evidence=[])
+    result = plan_result([report("one", bare)])
+    assert "There is no evidence to plan with." in result.document
