@@ -2,7 +2,7 @@
 
 A filter that is aided by a fix a minute is held against one that has none, over two hours. In the first world every fix
 errs as it says. In the second one fifth are off by tens of metres, as acoustic fixes are that were reflected, and no
-gate keeps them out. `python benchmarks/fix_worlds.py` prints the verdict on each dive and on all of them together.
+gate keeps them out. `python benchmarks/fix_worlds.py` prints what is seen of each dive, and the verdict on all of them.
 """
 
 import argparse
@@ -21,7 +21,8 @@ from insdvl_replay.core.config_file import load_config
 from insdvl_replay.core.dive_columns import Dive, SensorColumns
 from insdvl_replay.core.tables import EvidenceRow
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.answers import pooled_candidate, pooled_sentence
+from insdvl_replay.evaluation.answers import pooled_candidate
+from insdvl_replay.evaluation.sentences import headline
 from insdvl_replay.geometry.frames import moved_position
 from insdvl_replay.replay import replay_dive
 from insdvl_replay.sim.dive import add_errors, exact_dive
@@ -57,7 +58,7 @@ FIX_WORLDS: Final = (
 
 
 def lines(world: World, dives: int, starts: int) -> Iterator[str]:
-    """Judge dives of a world, and all of them together, a line each."""
+    """Replay dives of a world, a line each, and judge all of them together."""
     evidence: list[list[EvidenceRow]] = []
     config, exact = world.config, exact_dive("figure-eight", **world.way)
     for dive in range(dives):
@@ -67,17 +68,18 @@ def lines(world: World, dives: int, starts: int) -> Iterator[str]:
         replay = replay_dive(made, msgspec.structs.replace(config, evaluation=Evaluation(starts=starts, seed=dive)))
         (found,) = replay.verdicts.values()
         rows = replay.tables.evidence
-        if found.verdict != Verdict.NOT_EVALUATED:
+        not_evaluated = f"; not evaluated: {found.reason}" if found.verdict == Verdict.NOT_EVALUATED else ""
+        if not not_evaluated:
             evidence.append(rows)
         told = {row.quantity: f"{row.baseline:.2f} -> {row.value:.2f} {row.unit}" for row in rows}
         ratios = {row.quantity: row.ratio for row in rows}
         nis = next(row for row in replay.tables.consistency if row.measurement == "position")
         yield (
-            f"{found.verdict}: position {told['position']}, at the end {told['position_end']}, "
+            f"position {told['position']}, at the end {told['position_end']}, "
             f"drift in 60 s {ratios['drift_60s']:.3f}, outages of 60 s {ratios['outage_60s']:.3f}, "
-            f"NIS of fixes {nis.mean_nis:.3g} ({nis.dof} expected)"
+            f"NIS of fixes {nis.mean_nis:.3g} ({nis.dof} expected){not_evaluated}"
         )
-    yield pooled_sentence(pooled_candidate("fixed", "baseline", evidence, dives))
+    yield headline(pooled_candidate("fixed", "baseline", evidence, dives))
 
 
 def main() -> None:

@@ -4,29 +4,52 @@ Everything else in the worlds of the judge is about truth and counting, and call
 that makes a word. If the tool names its rule otherwise, this file changes and no other.
 """
 
-import importlib
-import importlib.util
 import math
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
 
-from insdvl_replay.core.tables import EvidenceRow
+from insdvl_replay.core.quantities import is_beam
+from insdvl_replay.core.tables import EvidenceRow, finite
 from insdvl_replay.core.words import Verdict
-from insdvl_replay.evaluation.answers import pooled_candidate
-from insdvl_replay.evaluation.series import dives_ratio, verdict_of_interval
+from insdvl_replay.evaluation.answers import CandidateAnswer, levels_of, pooled_candidate, primary_of
+from insdvl_replay.evaluation.interval import LEVEL, level_of_candidates, log_ratio_interval, word_of_interval
 from insdvl_replay.nav.user_candidate import CandidateStart, Solution
 from insdvl_replay.preparation.programs import UserProcesses, solution_of_class
 from insdvl_replay.replay import Replay
 
-FEWEST_DIVES: Final = 3
-RULE: Final = "insdvl_replay.evaluation.interval"
+SIZES: Final = (3, 5, 8)
+"""Dives of the groups on which the tool says its word."""
+
+
+# --- Groups of dives.
+
+
+def drawn_groups(numbers: Sequence[int], size: int, groups: int, seed: int) -> list[list[int]]:
+    """Draw groups of rows, none of which has a number twice; of rows with the same number one is drawn at random."""
+    rng = np.random.default_rng((seed, size))
+    rows_of = dict[int, list[int]]()
+    for row, number in enumerate(numbers):
+        rows_of.setdefault(number, []).append(row)
+    if len(rows_of) < size:
+        return []
+    return [
+        [int(rng.choice(rows_of[number])) for number in rng.choice(list(rows_of), size, replace=False).tolist()]
+        for _ in range(groups)
+    ]
+
+
+def word_counts(words: Counter[str]) -> str:
+    """Write how often each word was said, in percent."""
+    if not words:
+        return "-"
+    return ", ".join(f"{100.0 * words[word] / words.total():.0f} {word}" for word in Verdict if words[word])
 
 
 # --- The rule for one ratio over dives.
@@ -41,19 +64,8 @@ class Found(NamedTuple):
     word_always: str
 
 
-@cache
-def has_interval_rule() -> bool:
-    """Return whether the tool decides by one interval; else it decides by its probability, as it did before."""
-    return importlib.util.find_spec(RULE) is not None
-
-
-@cache
-def _rule() -> Any:
-    return importlib.import_module(RULE)
-
-
 def over_dives(
-    log_ratios: Sequence[float], *, level: float = 0.95, vehicles: Sequence[str] | None = None, always: bool = True
+    log_ratios: Sequence[float], *, level: float = LEVEL, vehicles: Sequence[str] | None = None, always: bool = True
 ) -> Found:
     """Ask the tool for its interval over dives, and for its word.
 
@@ -68,28 +80,15 @@ def over_dives(
     always : bool
         Whether the word for every look is asked for, too.
     """
-    if not has_interval_rule():
-        interval = dives_ratio(np.asarray(log_ratios))
-        word = str(verdict_of_interval(interval, FEWEST_DIVES))
-        return Found(interval.low, interval.high, word, word)
-    rule = _rule()
-    found = rule.log_ratio_interval(log_ratios, level=level, vehicles=vehicles)
-    word = _word(rule, found.low, found.high)
-    return Found(found.low, found.high, word, _word(rule, found.low_always, found.high_always) if always else "")
-
-
-def _word(rule: Any, low: float | None, high: float | None) -> str:
-    """Give the word of an interval; one that is missing decides nothing."""
-    if low is None or high is None or math.isnan(low) or math.isnan(high):
-        return "undecided"
-    return str(rule.word_of_interval(low, high))
+    found = log_ratio_interval(log_ratios, level=level, vehicles=vehicles)
+    word = str(word_of_interval(found.low, found.high))
+    word_always = str(word_of_interval(found.low_always, found.high_always)) if always else ""
+    return Found(found.low, found.high, word, word_always)
 
 
 def level_of(count: int, *, named: bool = False, is_named: bool = False) -> float:
-    """Ask the tool for the level of confidence of one candidate of several; before, each had the level of one."""
-    if not has_interval_rule():
-        return 0.95
-    return float(_rule().level_of_candidates(count, named=named, is_named=is_named))
+    """Ask the tool for the level of confidence of one candidate of several."""
+    return level_of_candidates(count, named=named, is_named=is_named)
 
 
 # --- The whole tool: dives that were replayed, and the verdict over several of them.
@@ -97,34 +96,110 @@ def level_of(count: int, *, named: bool = False, is_named: bool = False) -> floa
 
 @dataclass(frozen=True)
 class Record:
-    """What the tool keeps of one candidate in one dive, so that verdicts over dives can be made of it."""
+    """What the tool keeps of one candidate in one dive, so that verdicts over dives can be made of it.
+
+    Attributes
+    ----------
+    word : str
+        What it says of this dive alone.
+    rows : tuple of EvidenceRow
+        With ratios, and with how far the candidate acts.
+    reason : str
+        Why the candidate is not evaluated.
+    nis_per_dof : float
+        Of the baseline's DVL, 1 where its noise fits; NaN where it is not known.
+    """
 
     word: str
-    """Its verdict on this dive alone."""
     rows: tuple[EvidenceRow, ...]
     is_evaluated: bool
-    note_codes: tuple[str, ...] = ()
+    reason: str = ""
+    vehicle: str = ""
+    nis_per_dof: float = math.nan
+
+
+REFUSED: Final = Record(Verdict.NOT_EVALUATED, (), is_evaluated=False, reason="the log was refused")
+"""A log that is refused is as good as a dive that is not evaluated."""
 
 
 def record_of(replay: Replay, candidate: str) -> Record:
     """Keep what a verdict over several dives is made of."""
-    rows = tuple(row for row in replay.tables.evidence if row.filter == candidate)
-    word = str(replay.verdicts[candidate].verdict)
-    codes = tuple(note.code for note in replay.notes)
-    return Record(word, rows, word != Verdict.NOT_EVALUATED, codes)
+    found = replay.verdicts[candidate]
+    return Record(
+        word=str(found.verdict),
+        rows=tuple(row for row in replay.tables.evidence if row.filter == candidate),
+        is_evaluated=found.verdict != Verdict.NOT_EVALUATED,
+        reason=found.reason,
+        vehicle=replay.config.vehicle.name,
+        nis_per_dof=_nis_per_dof(replay),
+    )
 
 
-def verdict_over(candidate: str, baseline: str, records: Sequence[Record], *, candidates: int = 1) -> str:
-    """Ask the tool for its verdict over several dives on one of so many candidates."""
-    judged = [record.rows for record in records if record.is_evaluated]
-    return str(pooled_candidate(candidate, baseline, judged, len(records)).verdict)
+def _nis_per_dof(replay: Replay) -> float:
+    for row in replay.tables.consistency:
+        is_dvl = row.measurement == "velocity" or is_beam(row.measurement)
+        if row.filter == replay.config.baseline and is_dvl and row.dof:
+            return finite(row.mean_nis) / row.dof
+    return math.nan
+
+
+def verdicts_over(
+    baseline: str, records: Mapping[str, Sequence[Record]], *, named: str = "", primary: str = ""
+) -> dict[str, str]:
+    """Ask the tool for its verdicts over several dives.
+
+    Parameters
+    ----------
+    records : mapping of str to sequence of Record
+        By candidate, one for each dive. Several candidates share the error rate of one.
+    named : str
+        The candidate that was named before the run.
+    primary : str
+        The quantity that the settings name; empty where the tool chooses.
+    """
+    alone = [_answer(baseline, name, of_dives, primary) for name, of_dives in records.items()]
+    levels = levels_of(alone, named)
+    found = {}
+    for answer in alone:
+        name, level = answer.filter, levels[answer.filter]
+        is_shared = level != LEVEL
+        found[name] = _answer(baseline, name, records[name], primary, level) if is_shared else answer
+    return {name: str(answer.verdict) for name, answer in found.items()}
+
+
+def _answer(
+    baseline: str, candidate: str, records: Sequence[Record], primary: str, level: float = LEVEL
+) -> CandidateAnswer:
+    judged = [record for record in records if record.is_evaluated]
+    rows = [record.rows for record in judged]
+    return pooled_candidate(
+        candidate,
+        baseline,
+        rows,
+        len(records),
+        reasons=[record.reason for record in records],
+        primary=primary_of(rows, primary),
+        level=level,
+        vehicles=[record.vehicle for record in judged],
+    )
+
+
+def verdict_over(candidate: str, baseline: str, records: Sequence[Record]) -> str:
+    """Ask the tool for its verdict over several dives on the only candidate."""
+    return verdicts_over(baseline, {candidate: records})[candidate]
+
+
+def words_of_groups(candidate: str, baseline: str, records: Sequence[Record], size: int, groups: int, seed: int) -> str:
+    """Count the words on the only candidate, on drawn groups of dives, in percent."""
+    drawn = drawn_groups(range(len(records)), size, groups, seed)
+    return word_counts(Counter(verdict_over(candidate, baseline, [records[row] for row in rows]) for rows in drawn))
 
 
 def log_ratio_of(record: Record, quantity: str) -> float:
     """Give the logarithm of a ratio that a dive has; NaN where it has none."""
     for row in record.rows:
-        if row.quantity == quantity and row.baseline and row.value:
-            return math.log(row.value / row.baseline)
+        if row.quantity == quantity and row.ratio:
+            return math.log(row.ratio)
     return math.nan
 
 
@@ -132,7 +207,9 @@ def log_ratio_of(record: Record, quantity: str) -> float:
 def classes_run_here() -> Iterator[None]:
     """Run classes of the user's in this process: words do not depend on it, and an interpreter takes far longer."""
 
-    def run(processes: UserProcesses, _: str, dive_file: Path, start: CandidateStart) -> Solution:
+    def run(
+        processes: UserProcesses, _: str, dive_file: Path, start: CandidateStart, *, new_process: bool = False
+    ) -> Solution:
         return solution_of_class(processes.settings.candidate or "", dive_file, start)
 
     with patch.object(UserProcesses, "run", run):

@@ -1,11 +1,10 @@
 """What adaptive and Student-t noise of the DVL cost on clean dives, and bring where pings are off, or noisier.
 
-`make judge` runs this.
+`make judge` runs this. Verdicts are over groups of dives.
 """
 
 import argparse
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -19,18 +18,19 @@ from contaminated_dives import (
     contaminated_dive,
     noisier_dive,
 )
+from judged import SIZES, Record, record_of, words_of_groups
 from results import machine, table, write_part
 
 from insdvl_replay.core.config import Config
 from insdvl_replay.core.dive_columns import Dive
-from insdvl_replay.replay import Replay, replay_dive
+from insdvl_replay.core.tables import finite
+from insdvl_replay.replay import replay_dive
 
-DIVES, LENGTH_S, STARTS = 20, 600.0, 8
+DIVES, LENGTH_S, STARTS, GROUPS, SEED = 8, 400.0, 2, 60, 5
 OFF_BY_MPS = (0.05, 0.2, 1.0)
 TIMES = 3.0
 WITH_POSITION = ("position",)
-WORDS = ("better", "worse", "mixed", "equivalent", "undecided", "not evaluated")
-DRIFT, NIS = "drift_60s", "nis"
+QUANTITIES = {"position x": "position", "velocity x": "velocity_across", "drift x": "drift_60s", "NIS x": "nis"}
 
 
 def worlds() -> Iterator[tuple[str, Callable[[int], Dive], Config, str]]:
@@ -52,15 +52,16 @@ def rows() -> Iterator[tuple[str, ...]]:
     for world, made, config, aiding in worlds():
         replays = [replay_dive(made(seed), config) for seed in range(DIVES)]
         for name in CANDIDATES:
-            words = Counter(str(replay.verdicts[name].verdict) for replay in replays)
-            ratios = (f"{ratio(replays, name, quantity):.3f}" for quantity in (DRIFT, NIS))
-            yield world, aiding, name, *(str(words[word]) for word in WORDS), *ratios
+            records = [record_of(replay, name) for replay in replays]
+            ratios = (f"{ratio(records, quantity):.3f}" for quantity in QUANTITIES.values())
+            words = (words_of_groups(name, "baseline", records, size, GROUPS, SEED) for size in SIZES)
+            yield world, aiding, name, *words, *ratios
 
 
-def ratio(replays: list[Replay], name: str, quantity: str) -> float:
+def ratio(records: list[Record], quantity: str) -> float:
     """Return the median ratio of a quantity to the baseline's, whatever was said of it."""
-    found = (row for replay in replays for row in replay.tables.evidence)
-    return float(np.median([row.ratio for row in found if (row.filter, row.quantity) == (name, quantity)]))
+    rows = (row for record in records for row in record.rows)
+    return float(np.median([finite(row.ratio) for row in rows if row.quantity == quantity]))
 
 
 def main() -> None:
@@ -69,12 +70,13 @@ def main() -> None:
     about = (
         f"{DIVES} simulated lawnmowers of {LENGTH_S:.0f} s a row, with sensors that err as the filters are told "
         f"(beams {BEAM_SD_MPS:g} m/s). Then the beams of {100 * SHARE:g} % of the pings are off by so much (sd); then "
-        f"all are {TIMES:g} times as noisy from the middle on. On clean dives *equivalent* is right, on contaminated "
-        "ones *better*. A filter drifts more the less it trusts the DVL, though its velocity is better. With the "
-        "position among its states it drifts by as much. The last columns are median ratios, of the drift in 60 s and "
-        f"of how far NIS / dof is from 1. {machine()}."
+        f"all are {TIMES:g} times as noisy from the middle on. {GROUPS} groups of each size are drawn from the dives; "
+        "words are in percent of them. On clean dives *equivalent* and *no effect* are right. With pings that are far "
+        "off, NIS / dof of the baseline is above 10, and it is not evaluated. A filter drifts more the less it trusts "
+        "the DVL, though its velocity is better. The last columns are median ratios of single dives: position, "
+        f"velocity across, drift in 60 s, and how far NIS / dof is from 1. {machine()}."
     )
-    columns = ("pings", "aiding", "noise", *WORDS, "drift x", "NIS x")
+    columns = ("pings", "aiding", "noise", *(f"{size} dives" for size in SIZES), *QUANTITIES)
     part = "\n".join(["# Noise", "", about, "", *table(columns, [f"| {' | '.join(row)} |" for row in rows()])])
     write_part(part)
     sys.stdout.write(f"{part}\n")

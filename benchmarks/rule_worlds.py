@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from judged import has_interval_rule, level_of, over_dives
+from judged import level_of, over_dives
 from results import machine, table, write_part
 
 from insdvl_replay.core.dive_columns import Floats
@@ -449,12 +449,11 @@ ABOUT: Final = {
 
 def page(rows: dict[str, list[Row]], repeats: int, looked: int, took_s: float) -> str:
     """Write the part of the page of results."""
-    rule = "the interval over dives" if has_interval_rule() else "the probability over dives, as before"
     lines = [
         "# Judgement: drawn ratios",
         "",
         f"The log ratio of each dive is drawn, {repeats} archives a cell ({looked} that grow), and the tool decides by "
-        f"{rule}. Rows that are not as they must be are marked with a star.",
+        "its interval over dives. Rows that are not as they must be are marked with a star.",
     ]
     for name, columns in COLUMNS.items():
         marked = [row.text if row.is_met else f"{row.text[:-1]}* |" for row in rows[name]]

@@ -22,32 +22,44 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from judged import Found, Record, classes_run_here, level_of, log_ratio_of, over_dives, record_of, verdict_over
+from judged import (
+    SIZES,
+    Found,
+    Record,
+    classes_run_here,
+    drawn_groups,
+    level_of,
+    log_ratio_of,
+    over_dives,
+    record_of,
+    verdicts_over,
+)
 from results import machine, table, write_part
 from scatter_filters import Case, write_case
 from scatter_worlds import (
     DURATION_S,
+    FIVE,
     SEED,
     WORLDS,
     ScatterWorld,
     TrueErrors,
-    TrueRatio,
     dive_of,
     exchanged,
     reference_of,
     true_errors_of,
     true_ratios,
 )
+from true_errors import TrueRatio
 
+from insdvl_replay.core.words import Verdict
 from insdvl_replay.logs import write_dive
 from insdvl_replay.preparation.prepared import read_checked_dive
 from insdvl_replay.replay import replay_dive
 
-DIVES: Final = 60
-TRUTH_DIVES: Final = 120
+DIVES: Final = 32
+TRUTH_DIVES: Final = 60
 """So many more dives tell the truth of worlds in which it is not known beforehand."""
-SIZES: Final = (3, 5, 8)
-GROUPS: Final = 200
+GROUPS: Final = 100
 """Groups of each size that are drawn from the dives of a world."""
 MARGIN: Final = 1.05
 LARGE: Final = 1.1
@@ -66,6 +78,7 @@ class JudgedDive:
     errors: Mapping[str, TrueErrors]
     replay_s: float
     """Processor seconds of the replay from its log."""
+    is_exchanged: bool = False
 
 
 class Task(NamedTuple):
@@ -87,17 +100,18 @@ def judged_dive(task: Task) -> JudgedDive:
     errors = true_errors_of(world, drawn)
     if not task.is_replayed:
         return JudgedDive(world.name, task.number, {}, errors, 0.0)
+    config = world.config_of(task.number)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         log = folder / f"dive_{task.number}.mcap"
         write_dive(log, drawn.reported)
-        write_case(folder, Case(world.config, dict(drawn.told)), reference_of(drawn.exact))
+        write_case(folder, Case(config, dict(drawn.told)), reference_of(drawn.exact))
         begun_s = time.process_time()
         with classes_run_here():
-            replay = replay_dive(read_checked_dive(log, world.config), world.config)
+            replay = replay_dive(read_checked_dive(log, config), config)
         took_s = time.process_time() - begun_s
     records = {candidate: record_of(replay, candidate) for candidate in world.candidates}
-    return JudgedDive(world.name, task.number, records, errors, took_s)
+    return JudgedDive(world.name, task.number, records, errors, took_s, task.is_exchanged)
 
 
 def judged_dives(tasks: Sequence[Task], jobs: int) -> Iterator[JudgedDive]:
@@ -112,10 +126,25 @@ def judged_dives(tasks: Sequence[Task], jobs: int) -> Iterator[JudgedDive]:
 # --- Words held against the truth.
 
 
+PLAIN: Final = {
+    Verdict.BETTER: "better",
+    Verdict.BETTER_WITHOUT_DVL: "better",
+    Verdict.EQUIVALENT: "equivalent",
+    Verdict.EQUIVALENT_WITHOUT_DVL: "equivalent",
+    # A proof that the candidate does nearly nothing says that it is the same.
+    Verdict.NO_EFFECT: "equivalent",
+    Verdict.UNDECIDED: "undecided",
+    Verdict.MIXED: "mixed",
+    Verdict.WORSE_WITHOUT_DVL: "worse",
+    Verdict.WORSE: "worse",
+    Verdict.NOT_REPEATABLE: "undecided",
+    Verdict.NOT_EVALUATED: "undecided",
+}
+
+
 def plain(word: str) -> str:
     """Reduce a word, which may carry its object as in *better without DVL*, to what it says of gain or loss."""
-    first = word.lower().split()[0] if word else ""
-    return first if first in ("better", "worse", "mixed", "equivalent", "same") else "undecided"
+    return PLAIN[Verdict(word)]
 
 
 class Truth(NamedTuple):
@@ -176,18 +205,42 @@ def is_opposite(word: str, truth: Truth) -> bool:
 # --- Groups of dives.
 
 
-def drawn_groups(numbers: Sequence[int], size: int, groups: int, seed: int) -> list[list[int]]:
-    """Draw groups of rows, none of which has a number twice; of rows with the same number one is drawn at random."""
+FLEET: Final = 4
+"""Vehicles of a group, at most, where dives are of vehicles."""
+
+
+def drawn_fleets(vehicles: Sequence[int], sides: Sequence[bool], size: int, groups: int, seed: int) -> list[list[int]]:
+    """Draw groups of rows of some vehicles; filters are exchanged on all dives of a vehicle, or on none."""
+    fleet = min(size, FLEET)
     rng = np.random.default_rng((seed, size))
-    rows_of = dict[int, list[int]]()
-    for row, number in enumerate(numbers):
-        rows_of.setdefault(number, []).append(row)
-    if len(rows_of) < size:
-        return []
-    return [
-        [int(rng.choice(rows_of[number])) for number in rng.choice(list(rows_of), size, replace=False).tolist()]
-        for _ in range(groups)
+    rows_of = dict[tuple[int, bool], list[int]]()
+    for row, (vehicle, side) in enumerate(zip(vehicles, sides, strict=True)):
+        rows_of.setdefault((vehicle, side), []).append(row)
+    most = -(-size // fleet)
+    whole = [
+        vehicle
+        for vehicle in dict.fromkeys(vehicles)
+        if all(len(rows_of.get((vehicle, side), [])) >= most for side in (False, True))
     ]
+    if len(whole) < fleet:
+        return []
+    found = []
+    for _ in range(groups):
+        group = list[int]()
+        for place, vehicle in enumerate(rng.choice(whole, fleet, replace=False).tolist()):
+            rows = rows_of[vehicle, bool(rng.integers(2))]
+            dives = size // fleet + (place < size % fleet)
+            group += rng.choice(rows, dives, replace=False).tolist()
+        found.append(group)
+    return found
+
+
+def groups_of(world: ScatterWorld, dives: Sequence[JudgedDive], size: int, groups: int, seed: int) -> list[list[int]]:
+    """Draw groups of the dives of a world, of which each is a row."""
+    if not world.dives_of_vehicle:
+        return drawn_groups([dive.number for dive in dives], size, groups, seed)
+    vehicles = [world.vehicle_of(dive.number) for dive in dives]
+    return drawn_fleets(vehicles, [dive.is_exchanged for dive in dives], size, groups, seed)
 
 
 @dataclass(frozen=True)
@@ -226,31 +279,53 @@ class JudgedPair:
 
 def judged_pairs(world: ScatterWorld, dives: Sequence[JudgedDive], groups: int, seed: int) -> list[JudgedPair]:
     """Say the tool's word on all candidates of a world, for drawn groups of its dives."""
-    baseline, candidates = world.config.baseline, world.candidates
     replayed = [dive for dive in dives if dive.records]
-    numbers = [dive.number for dive in replayed]
-    level = level_of(len(candidates))
-    found = []
-    for candidate in candidates:
-        ratios = true_ratios([dict(dive.errors) for dive in dives], baseline, candidate)
-        records = [dive.records[candidate] for dive in replayed]
-        logs = np.array([log_ratio_of(record, world.primary) for record in records])
-        words = {1: Counter(record.word for record in records)}
-        by_group, primary = dict[int, list[str]](), dict[int, list[Found]]()
-        for size in SIZES:
-            drawn = drawn_groups(numbers, size, groups, seed)
-            by_group[size] = [
-                verdict_over(candidate, baseline, [records[row] for row in rows], candidates=len(candidates))
-                for rows in drawn
-            ]
-            words[size] = Counter(by_group[size])
-            known = [logs[rows] for rows in drawn if np.isfinite(logs[rows]).all()]
-            primary[size] = [over_dives(of_group.tolist(), level=level, always=False) for of_group in known]
-        finite = logs[np.isfinite(logs)]
-        reported = (math.exp(finite.mean()), float(finite.std(ddof=1))) if len(finite) > 1 else (math.nan, math.nan)
-        truth = truth_of(world, ratios[world.primary])
-        found.append(JudgedPair(world, candidate, truth, ratios, reported, words, by_group, primary))
-    return found
+    drawn = {size: groups_of(world, replayed, size, groups, seed) for size in SIZES}
+    said = {size: [_words_on(world, [replayed[row] for row in rows]) for rows in drawn[size]] for size in SIZES}
+    return [
+        _judged_pair(
+            world,
+            candidate,
+            dives,
+            drawn,
+            {size: [words[candidate] for words in of_size] for size, of_size in said.items()},
+        )
+        for candidate in world.candidates
+    ]
+
+
+def _words_on(world: ScatterWorld, dives: Sequence[JudgedDive]) -> dict[str, str]:
+    """Say the tool's words on all candidates, which share the error rate of one."""
+    records = {candidate: [dive.records[candidate] for dive in dives] for candidate in world.candidates}
+    settings = world.config.evaluation
+    return verdicts_over(world.config.baseline, records, named=settings.candidate, primary=settings.primary)
+
+
+def _judged_pair(
+    world: ScatterWorld,
+    candidate: str,
+    dives: Sequence[JudgedDive],
+    drawn: Mapping[int, list[list[int]]],
+    by_group: dict[int, list[str]],
+) -> JudgedPair:
+    ratios = true_ratios([dict(dive.errors) for dive in dives], world.config.baseline, candidate)
+    records = [dive.records[candidate] for dive in dives if dive.records]
+    logs = np.array([log_ratio_of(record, world.primary) for record in records])
+    named = world.config.evaluation.candidate
+    level = level_of(len(world.candidates), named=bool(named), is_named=candidate == named)
+    primary = dict[int, list[Found]]()
+    for size, groups in drawn.items():
+        known = [rows for rows in groups if np.isfinite(logs[rows]).all()]
+        primary[size] = [
+            over_dives(logs[rows].tolist(), level=level, vehicles=[records[row].vehicle for row in rows], always=False)
+            for rows in known
+        ]
+    words = {size: Counter(of_size) for size, of_size in by_group.items()}
+    words[1] = Counter(record.word for record in records)
+    finite = logs[np.isfinite(logs)]
+    reported = (math.exp(finite.mean()), float(finite.std(ddof=1))) if len(finite) > 1 else (math.nan, math.nan)
+    truth = truth_of(world, ratios[world.primary])
+    return JudgedPair(world, candidate, truth, ratios, reported, words, by_group, primary)
 
 
 # --- The page.
@@ -266,6 +341,8 @@ class Question(NamedTuple):
     asked: tuple[float, float, float] | None = None
     """In percent, with 3, 5 and 8 dives."""
     is_least: bool = False
+    candidates: tuple[str, ...] = ()
+    """Of several the ones that are meant; empty for all."""
 
 
 EQUAL: Final = ("two compasses", "two mountings", "two IMUs", "equal on average", "late: two compasses")
@@ -284,6 +361,22 @@ QUESTIONS: Final = (
     _equal("0.5"),
     Question("equal pairs, all, a word", EQUAL, "wrong", FIVE_PCT),
     Question("five at once, none differs, any has a word", ("five compasses",), "any wrong", FIVE_PCT),
+    Question("vehicles that differ, a word", ("vehicles",), "wrong", FIVE_PCT),
+    Question(
+        "five at once, the named one is 0.8, s 0.1, found",
+        ("five at once",),
+        "right",
+        (35.0, 80.0, 97.0),
+        is_least=True,
+        candidates=FIVE[:1],
+    ),
+    Question(
+        "five at once, one is named, any other has a word",
+        ("five at once",),
+        "any wrong",
+        FIVE_PCT,
+        candidates=FIVE[1:],
+    ),
     Question("errors times 0.8, s 0.1, found", ("errors times 0.8, s 0.1",), "right", (35.0, 80.0, 97.0), True),
     Question("errors times 0.8, s 0.2, found", ("errors times 0.8, s 0.2",), "right", (13.0, 30.0, 54.0), True),
     Question("true changes, all, found", CHANGED, "right"),
@@ -300,7 +393,11 @@ ALLOWED_ERRORS: Final = 3.0
 
 def of_question(question: Question, pairs: Sequence[JudgedPair]) -> list[JudgedPair]:
     """Choose the pairs that a question is about."""
-    return [pair for pair in pairs if pair.world.name.startswith(question.names)]
+    return [
+        pair
+        for pair in pairs
+        if pair.world.name.startswith(question.names) and pair.candidate in (question.candidates or (pair.candidate,))
+    ]
 
 
 def counted(question: Question, pairs: Sequence[JudgedPair], size: int) -> tuple[int, int]:

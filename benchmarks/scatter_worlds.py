@@ -25,6 +25,7 @@ from scatter_filters import (
     with_other_sensors,
 )
 from sea_worlds import Sea, SeaDvl, SeaReference, Voyage
+from true_errors import TrueRatio, ratio_of_logs
 
 from insdvl_replay.core.config import Config, Filter, Heading, InertialNoise, Vector
 from insdvl_replay.core.config_file import load_config
@@ -40,6 +41,8 @@ SEED: Final = 71_000_000
 OTHER: Final = OtherSensors.name
 FIVE: Final = ("first", "second", "third", "fourth", "fifth")
 DURATION_S: Final = 240.0
+VEHICLE_STREAM: Final = 7
+"""What is drawn for a vehicle is drawn apart from what is drawn for its dives."""
 WITHHELD_S: Final = ((60.0, 120.0), (150.0, 210.0))
 """The spans without DVL that tell the true drift of an outage."""
 SETTLED_S: Final = 60.0
@@ -92,6 +95,20 @@ class ScatterWorld:
     draw: Draw
     primary: str = "position"
     sea: Sea = SEA
+    dives_of_vehicle: int = 0
+    """So many dives in a row are of one vehicle; 0 where nobody says which vehicle made a dive."""
+    vehicle_log_sd: float = 0.0
+    """Standard deviation, from vehicle to vehicle, of the logarithm of the factor of a filter's errors."""
+
+    def vehicle_of(self, number: int) -> int:
+        """Number the vehicle of a dive."""
+        return number // self.dives_of_vehicle
+
+    def config_of(self, number: int) -> Config:
+        """Give the settings of a dive, which name its vehicle."""
+        if not self.dives_of_vehicle:
+            return self.config
+        return self.config.of_vehicle(f"vehicle {self.vehicle_of(number)}")
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -109,7 +126,13 @@ def dive_of(world: ScatterWorld, number: int, seed: int = SEED) -> Drawn:
     of_world = zlib.crc32(world.name.encode())
     vehicle, drawn = np.random.SeedSequence((seed, of_world, number)).spawn(2)
     reported, exact = world.sea.dive(int(vehicle.generate_state(1)[0]))
-    return world.draw(reported, exact, np.random.default_rng(drawn))
+    found = world.draw(reported, exact, np.random.default_rng(drawn))
+    if not world.dives_of_vehicle:
+        return found
+    rng = np.random.default_rng((seed, of_world, VEHICLE_STREAM, world.vehicle_of(number)))
+    factor = math.exp(world.vehicle_log_sd * rng.standard_normal())
+    told = {name: msgspec.structs.replace(one, factor=factor * one.factor) for name, one in found.told.items()}
+    return found._replace(told=told)
 
 
 def exchanged(drawn: Drawn, name: str) -> Drawn:
@@ -214,6 +237,17 @@ def factors(name: str, *, ratio: float, log_sd: float) -> Draw:
     def draw(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
         factor = ratio * math.exp(log_sd * rng.standard_normal())
         return Drawn(reported, exact, {name: Told(factor=factor)})
+
+    return draw
+
+
+def first_of_several(*names: str, ratio: float, log_sd: float) -> Draw:
+    """Draw factors as `factors` does, for the first filter about a ratio, and for all others about 1."""
+
+    def draw(reported: Dive, exact: Dive, rng: np.random.Generator) -> Drawn:
+        spread = np.exp(log_sd * rng.standard_normal(len(names)))
+        spread[0] *= ratio
+        return Drawn(reported, exact, {name: Told(factor=float(by)) for name, by in zip(names, spread, strict=True)})
 
     return draw
 
@@ -364,31 +398,12 @@ def _rms(errors: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
-class TrueRatio(NamedTuple):
-    """Geometric mean over dives of the ratio of two filters' errors, its interval, and how the dives scatter."""
-
-    value: float
-    low: float
-    """95 %, by the scatter over the dives of the ensemble."""
-    high: float
-    scatter: float
-    """Standard deviation of the log ratio of a dive."""
-
-    def __str__(self) -> str:
-        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}], s {self.scatter:.2f}"
-
-
 def true_ratios(errors: list[dict[str, TrueErrors]], baseline: str, candidate: str) -> dict[str, TrueRatio]:
     """Compare two filters over an ensemble of dives, quantity by quantity."""
     before = np.array([dive[baseline] for dive in errors])
     after = np.array([dive[candidate] for dive in errors])
     logs = np.log(after / before)
-    found = {}
-    for quantity, column in zip(TrueErrors._fields, logs.T, strict=True):
-        mean, scatter = float(column.mean()), float(column.std(ddof=1))
-        width = 1.96 * scatter / math.sqrt(len(column))
-        found[quantity] = TrueRatio(math.exp(mean), math.exp(mean - width), math.exp(mean + width), scatter)
-    return found
+    return {name: ratio_of_logs(column) for name, column in zip(TrueErrors._fields, logs.T, strict=True)}
 
 
 # --- The worlds.
@@ -426,6 +441,11 @@ def _by_velocity(sd_mps: float) -> Filter:
 def _dependent(config: Config) -> Config:
     """Say that the reference was computed from the same sensors, so that the drift without the DVL counts."""
     return msgspec.structs.replace(config, reference=msgspec.structs.replace(config.reference, independent=False))
+
+
+def _named(config: Config, candidate: str) -> Config:
+    """Name the candidate that the question is about, before anything is run."""
+    return msgspec.structs.replace(config, evaluation=msgspec.structs.replace(config.evaluation, candidate=candidate))
 
 
 def _noisy(white_mps: float) -> Sea:
@@ -497,10 +517,24 @@ WORLDS: Final[tuple[ScatterWorld, ...]] = (
         imus(OTHER, accel_mg=6.0, gyro_degph=40.0),
         primary="outage_30s",
     ),
+    ScatterWorld(
+        "vehicles that differ, equal on average",
+        "equal",
+        _settings(OTHER),
+        factors(OTHER, ratio=1.0, log_sd=0.1),
+        dives_of_vehicle=2,
+        vehicle_log_sd=0.2,
+    ),
     ScatterWorld("equal on average, s 0.3", "equal", _settings(OTHER), factors(OTHER, ratio=1.0, log_sd=0.3)),
     # True changes.
     ScatterWorld("errors times 0.8, s 0.1", "ensemble", _settings(OTHER), factors(OTHER, ratio=0.8, log_sd=0.1)),
     ScatterWorld("errors times 0.8, s 0.2", "ensemble", _settings(OTHER), factors(OTHER, ratio=0.8, log_sd=0.2)),
+    ScatterWorld(
+        "five at once, the first is named and 0.8 of the baseline",
+        "ensemble",
+        _named(_settings(*FIVE), FIVE[0]),
+        first_of_several(*FIVE, ratio=0.8, log_sd=0.1),
+    ),
     ScatterWorld("errors times 1.25, s 0.2", "ensemble", _settings(OTHER), factors(OTHER, ratio=1.25, log_sd=0.2)),
     ScatterWorld(
         "a mounting known to 0.8 deg, before to 1",

@@ -1,11 +1,11 @@
 """What is true of two filters in a world: their errors over all its dives, which no filter and no judge knows.
 
 One dive holds few independent errors, and of what is drawn once a dive, as a bias is, a single one. An ensemble holds
-many, so that the ratio of the root mean squares has a narrow interval: better, same and worse are facts.
+many, so that the mean of the log ratio has a narrow interval: better, same and worse are facts.
 """
 
-from collections.abc import Collection, Mapping, Sequence
-from itertools import product
+import math
+from collections.abc import Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -14,33 +14,33 @@ from insdvl_replay.core.dive_columns import NS_PER_S, Floats
 from insdvl_replay.core.history import History
 from insdvl_replay.evaluation.reference_errors import ReferenceErrors
 
-MARGIN: Final = 1.05
-"""A ratio of errors nearer to 1 makes no difference to anybody."""
-LARGE: Final = 1.1
 SEGMENT_S: Final = 60.0
-DRAWS, SEED = 2000, 1
 
 
 class MeanSquares(NamedTuple):
     """Mean squared true errors of one filter in one dive; all but that of the depth are horizontal."""
 
+    position_m2: float
+    """Over the whole dive."""
     drift_m2: float
     """In a segment."""
     velocity_m2ps2: float
-    position_m2: float
     end_m2: float
     depth_m2: float
 
 
-class Ratio(NamedTuple):
-    """Root mean square of the candidate's errors over the baseline's, and the interval that holds it with 95 %."""
+class TrueRatio(NamedTuple):
+    """Geometric mean over dives of the ratio of two filters' errors, its interval, and how the dives scatter."""
 
     value: float
     low: float
+    """95 %, by the scatter over the dives of the ensemble."""
     high: float
+    scatter: float
+    """Standard deviation of the log ratio of a dive."""
 
     def __str__(self) -> str:
-        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}]"
+        return f"{self.value:.3f} [{self.low:.3f}, {self.high:.3f}], s {self.scatter:.2f}"
 
 
 class Soundness(NamedTuple):
@@ -58,7 +58,7 @@ def mean_squares(errors: ReferenceErrors) -> MeanSquares:
     position_m = errors.position_error_ned_m[:, :2]
     drift_m = position_m[ends[begins]] - position_m[begins]
     return MeanSquares(
-        *map(_mean_square, (drift_m, errors.velocity_error_n[:, :2], position_m, position_m[-1:])),
+        *map(_mean_square, (position_m, drift_m, errors.velocity_error_n[:, :2], position_m[-1:])),
         _mean_square(errors.position_error_ned_m[:, 2:]),
     )
 
@@ -67,48 +67,24 @@ def _mean_square(errors: Floats) -> float:
     return float(np.mean(np.sum(errors**2, axis=1)))
 
 
-def true_ratio(baseline: Floats, candidate: Floats) -> Ratio:
-    """Compare the root mean squares of two filters over all dives; the interval is of dives drawn with replacement.
+def ratio_of_logs(logs: Floats) -> TrueRatio:
+    """Give the true ratio of an ensemble.
 
     Parameters
     ----------
-    baseline, candidate : ndarray, shape (dives,)
-        Mean squares of each dive.
+    logs : ndarray, shape (dives,)
+        Logarithms of candidate over baseline.
     """
-    drawn = np.random.default_rng(SEED).integers(len(baseline), size=(DRAWS, len(baseline)))
-    ratios = np.sqrt(candidate[drawn].sum(axis=1) / baseline[drawn].sum(axis=1))
-    low, high = np.quantile(ratios, (0.025, 0.975))
-    return Ratio(float(np.sqrt(candidate.sum() / baseline.sum())), float(low), float(high))
+    mean, scatter = float(logs.mean()), float(logs.std(ddof=1))
+    width = 1.96 * scatter / math.sqrt(len(logs))
+    return TrueRatio(math.exp(mean), math.exp(mean - width), math.exp(mean + width), scatter)
 
 
-def true_ratios(dives: Sequence[Mapping[str, MeanSquares]], baseline: str, candidate: str) -> tuple[Ratio, ...]:
-    """Compare two filters over dives, in the order of `MeanSquares`."""
+def true_ratios(dives: Sequence[Mapping[str, MeanSquares]], baseline: str, candidate: str) -> dict[str, TrueRatio]:
+    """Compare the root mean squares of two filters over dives, quantity by quantity."""
     before, after = (np.array([dive[name] for dive in dives]) for name in (baseline, candidate))
-    return tuple(true_ratio(*columns) for columns in zip(before.T, after.T, strict=True))
-
-
-def truth(ratios: Sequence[Ratio]) -> str:
-    """Say which class a candidate is of: A truly better in something and worse in nothing, B the same, C worse, or AC.
-
-    A question mark follows where the intervals allow for another class.
-    """
-    kind = _class_of([_side(ratio.value) for ratio in ratios])
-    allowed = product(*(range(_side(ratio.low), _side(ratio.high) + 1) for ratio in ratios))
-    return kind if {_class_of(sides) for sides in allowed} == {kind} else f"{kind}?"
-
-
-def is_large(ratios: Sequence[Ratio]) -> bool:
-    """Return whether a difference is of 10 % or more in one of the ratios."""
-    return any(not 1.0 / LARGE < ratio.value < LARGE for ratio in ratios)
-
-
-def _class_of(sides: Collection[int]) -> str:
-    return ("A" if -1 in sides else "") + ("C" if 1 in sides else "") or "B"
-
-
-def _side(ratio: float) -> int:
-    """Return whether a ratio is below the margin, -1, in it or above it, 1."""
-    return int(ratio >= MARGIN) - int(ratio <= 1.0 / MARGIN)
+    logs = 0.5 * np.log(after / before)
+    return {name: ratio_of_logs(column) for name, column in zip(MeanSquares._fields, logs.T, strict=True)}
 
 
 def soundness(histories: Sequence[History], errors: Mapping[str, ReferenceErrors]) -> Soundness:

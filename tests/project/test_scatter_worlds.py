@@ -1,5 +1,8 @@
 """Worlds whose filters differ by constants of a dive: that equal ones can be exchanged, and how words are counted."""
 
+from collections import Counter
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from judged import log_ratio_of
@@ -8,15 +11,19 @@ from scatter_judge import (
     JudgedDive,
     Task,
     Truth,
+    drawn_fleets,
     drawn_groups,
     is_opposite,
     judged_dive,
     judged_pairs,
     outcome,
     page,
+    plain,
     tasks_of,
 )
-from scatter_worlds import OTHER, WORLDS, ScatterWorld, dive_of, exchanged, reference_of, true_errors_of
+from scatter_worlds import FIVE, OTHER, WORLDS, ScatterWorld, dive_of, exchanged, factors, reference_of, true_errors_of
+
+from insdvl_replay.core.words import Verdict
 
 EQUAL = ("two compasses, s 0.5", "two mountings, s 0.5", "two IMUs, s 0.5")
 
@@ -133,7 +140,13 @@ UNSURE = Truth("ensemble", 0.9, 1.1)
         ("equivalent", SAME, "right"),
         ("better", SAME, "wrong"),
         ("better", EXCHANGEABLE, "wrong"),
-        ("MIXED", EXCHANGEABLE, "wrong"),
+        ("mixed", EXCHANGEABLE, "wrong"),
+        ("worse without DVL", BETTER, "wrong"),
+        ("equivalent without DVL", SAME, "right"),
+        ("no effect", SAME, "right"),
+        ("no effect", EXCHANGEABLE, "right"),
+        ("no effect", BETTER, "wrong"),
+        ("no effect", NOBODY, "wrong"),
         ("equivalent", EXCHANGEABLE, "right"),
         ("better", UNSURE, "undecided"),
         ("worse", UNSURE, "undecided"),
@@ -144,6 +157,13 @@ UNSURE = Truth("ensemble", 0.9, 1.1)
 )
 def test_words_are_held_against_the_truth(word: str, truth: Truth, said: str) -> None:
     assert outcome(word, truth) == said
+
+
+def test_every_word_of_the_tool_says_something_of_gain_or_loss_or_nothing() -> None:
+    said = {word: plain(str(word)) for word in Verdict}
+    assert set(said.values()) == {"better", "equivalent", "worse", "mixed", "undecided"}
+    with pytest.raises(ValueError, match="smashing"):
+        plain("smashing")
 
 
 def test_the_opposite_is_a_word_of_the_wrong_sign() -> None:
@@ -160,6 +180,41 @@ def test_groups_hold_each_number_once_and_need_enough() -> None:
     assert all(len({numbers[row] for row in group}) == 8 for group in groups)
     assert {row for group in groups for row in group} == set(range(20))
     assert drawn_groups(numbers[:14], 8, 50, 1) == []
+
+
+def test_a_fleet_has_four_vehicles_that_are_each_exchanged_as_a_whole() -> None:
+    rows = [(row // 2, row % 2 == 1) for row in range(24)]
+    vehicles, sides = [number // 2 for number, _ in rows], [side for _, side in rows]
+    groups = drawn_fleets(vehicles, sides, 8, 50, 1)
+    assert len(groups) == 50
+    for group in groups:
+        of_vehicle = Counter(vehicles[row] for row in group)
+        assert sorted(of_vehicle.values()) == [2, 2, 2, 2]
+        assert len({(vehicles[row], sides[row]) for row in group}) == 4
+        assert len(set(group)) == 8
+    assert {sides[row] for group in groups for row in group} == {True, False}
+    assert drawn_fleets(vehicles[:12], sides[:12], 8, 50, 1) == []
+    for group in drawn_fleets(vehicles[:12], sides[:12], 3, 50, 1):
+        assert len({vehicles[row] for row in group}) == 3
+
+
+def test_a_vehicle_has_a_factor_of_its_own_and_the_tool_is_told_its_name() -> None:
+    world = world_of("vehicles that differ, equal on average")
+    steady = replace(world, draw=factors(OTHER, ratio=1.0, log_sd=0.0))
+    by_dive = [dive_of(steady, number).told[OTHER].factor for number in range(6)]
+    assert by_dive[0] == by_dive[1] != by_dive[2] == by_dive[3] != by_dive[4] == by_dive[5]
+    names = [world.config_of(number).vehicle.name for number in range(6)]
+    assert names == ["vehicle 0"] * 2 + ["vehicle 1"] * 2 + ["vehicle 2"] * 2
+    assert world_of("a copy").config_of(5) == world_of("a copy").config
+
+
+def test_one_of_five_filters_is_better_and_is_named_before_anything_is_run() -> None:
+    world = world_of("five at once, the first is named and 0.8 of the baseline")
+    assert (world.candidates, world.config.evaluation.candidate) == (FIVE, "first")
+    factors_of = [[dive_of(world, number).told[name].factor for name in FIVE] for number in range(12)]
+    first, *others = np.log(factors_of).T.mean(axis=1)
+    assert first == pytest.approx(np.log(0.8), abs=0.1)
+    assert others == pytest.approx(np.zeros(4), abs=0.1)
 
 
 def test_half_of_the_dives_of_an_equal_pair_are_exchanged() -> None:
