@@ -134,6 +134,7 @@ def test_random_answers_have_no_verdict_and_their_spread_is_said(dive: Dive) -> 
     ]
 
 
+@pytest.mark.nightly
 def test_equal_answers_have_the_digest_of_the_solution(dive: Dive) -> None:
     first, second = (replay_dive(dive, config(of_class("Baseline"))) for _ in range(2))
     [note] = notes_of(first, "answers_repeat")
@@ -143,6 +144,7 @@ def test_equal_answers_have_the_digest_of_the_solution(dive: Dive) -> None:
     assert first.verdicts["mine"].verdict == Verdict.UNDECIDED, "one dive, with a verdict of no other kind"
 
 
+@pytest.mark.nightly
 def test_answers_that_differ_by_far_less_than_the_error_are_judged(dive: Dive) -> None:
     replay = replay_dive(dive, config(of_class("Jittering")))
     assert replay.verdicts["mine"].verdict not in (Verdict.NOT_REPEATABLE, Verdict.NOT_EVALUATED)
@@ -160,7 +162,7 @@ def test_an_answer_that_depends_on_the_process_does_not_repeat(dive: Dive) -> No
     ("name", "when"),
     [
         ("Chaotic", "when all stamps move by 1 us"),
-        ("Counting", "when one IMU sample in 10,000 is repeated"),
+        pytest.param("Counting", "when one IMU sample in 10,000 is repeated", marks=pytest.mark.nightly),
     ],
 )
 def test_an_answer_that_moves_by_what_means_nothing_has_no_verdict(name: str, when: str, dive: Dive) -> None:
@@ -176,6 +178,7 @@ def test_an_answer_that_moves_by_what_means_nothing_has_no_verdict(name: str, wh
     assert len(notes_of(replay, "answers_repeat")) == 1
 
 
+@pytest.mark.nightly
 def test_a_filter_that_fails_at_a_repeated_sample_has_no_verdict(dive: Dive) -> None:
     replay = replay_dive(dive, config(of_class("Refusing")))
     found = replay.verdicts["mine"]
@@ -184,6 +187,7 @@ def test_a_filter_that_fails_at_a_repeated_sample_has_no_verdict(dive: Dive) -> 
     assert "the IMU is frozen" in found.reason
 
 
+@pytest.mark.nightly
 def test_without_a_reference_the_drift_without_the_dvl_is_compared(dive: Dive) -> None:
     settings = config(of_class("Turning"))
     alone = msgspec.structs.replace(settings, reference=msgspec.structs.replace(settings.reference, independent=False))
@@ -203,6 +207,7 @@ class Turning(Baseline):
         return replace(solution, velocity_n=solution.velocity_n + np.random.default_rng().uniform(-0.1, 0.1, 3))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("is_random", [False, True])
 def test_a_program_is_run_again(is_random: bool, dive: Dive, tmp_path: Path) -> None:
     script = tmp_path / "mine.py"
