@@ -13,7 +13,7 @@ SAMPLES := sample_logs/straight.mcap sample_logs/figure_eight.mcap
 demo: .venv/run.stamp
 	$(BIN)/insdvl-replay run $(SAMPLES) --preset levy-klein --output replay --force --rerun
 
-# Seven minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
+# Nine minutes on two cores. Style, types and imports are looked at beside the tests, and told of if they fail.
 test: .venv/test.stamp
 	$(BIN)/insdvl-replay compile
 	@$(MAKE) --no-print-directory lint > .venv/lint.log 2>&1 & lint=$$!; \
