@@ -255,7 +255,7 @@ EXACT_DVL = DvlErrors(beam_bias_sd_mps=0.0, beam_scale_sd=0.0)
 
 def simulated(folder: Path, dvl: DvlErrors = EXACT_DVL, *settings: str) -> list[StoredResult]:
     """Replay dives with errors drawn anew, each from one start."""
-    config = load_config(overrides=["evaluation.starts=1", *settings])
+    config = load_config("fog", overrides=["evaluation.starts=1", "dvl.beam_sd_mps=0.006", *settings])
     found = []
     for number in range(WORLD_DIVES):
         dive = simulate_dive("figure-eight", seed=1 + number, dvl_errors=dvl, duration_s=200.0)
