@@ -9,7 +9,6 @@ import argparse
 import math
 import multiprocessing
 import os
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -21,7 +20,7 @@ from statistics import median
 from typing import Final, NamedTuple
 
 from judged import REFUSED, SIZES, Record, drawn_groups, record_of, verdicts_over, word_counts
-from results import machine, table, write_part
+from results import finish, machine, table
 from scatter_judge import Truth, is_opposite, outcome, plain
 from true_errors import (
     MeanSquares,
@@ -382,10 +381,7 @@ def main() -> None:
     for i in chosen:
         candidates += judged_candidates(i, [dive for dive in dives if dive.world == i], given.groups, given.seed)
     part, all_met = page(candidates, given.dives, given.groups, time.monotonic() - begun_s)
-    if not given.print and given.worlds == [""]:
-        write_part(part)
-    sys.stdout.write(f"{part}\n")
-    raise SystemExit(int(not all_met))
+    finish(part, is_whole=given.worlds == [""] and not given.print, all_met=all_met)
 
 
 if __name__ == "__main__":

@@ -4,9 +4,11 @@ import fcntl
 import platform
 import re
 import subprocess
+import sys
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import NoReturn
 
 RESULTS = Path(__file__).with_name("RESULTS.md")
 
@@ -27,6 +29,14 @@ def _git(*arguments: str) -> str:
 def table(columns: tuple[str, ...], rows: list[str]) -> list[str]:
     """Give the lines of a table of rows that are written already."""
     return [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *rows]
+
+
+def finish(part: str, *, is_whole: bool, all_met: bool) -> NoReturn:
+    """Print a part, keep it if nothing was left out, and end with 1 if a rate is not as asked."""
+    if is_whole:
+        write_part(part)
+    sys.stdout.write(f"{part}\n")
+    raise SystemExit(int(not all_met))
 
 
 def write_part(part: str) -> None:

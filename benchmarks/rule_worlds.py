@@ -10,7 +10,6 @@ import argparse
 import math
 import multiprocessing
 import os
-import sys
 import time
 import zlib
 from collections.abc import Callable, Iterator, Sequence
@@ -20,7 +19,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from judged import level_of, over_dives
-from results import machine, table, write_part
+from results import finish, machine, table
 
 from insdvl_replay.core.dive_columns import Floats
 
@@ -475,10 +474,7 @@ def main() -> None:
         found = list(processes.map(row_of, asked))
     rows = {name: [row for work, row in zip(asked, found, strict=True) if work.table == name] for name in COLUMNS}
     part = page(rows, given.repeats, given.looked, time.monotonic() - begun_s)
-    if not given.print:
-        write_part(part)
-    sys.stdout.write(f"{part}\n")
-    raise SystemExit(int(not all(row.is_met for row in found)))
+    finish(part, is_whole=not given.print, all_met=all(row.is_met for row in found))
 
 
 if __name__ == "__main__":

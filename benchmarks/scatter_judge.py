@@ -11,7 +11,6 @@ import math
 import multiprocessing
 import os
 import pickle
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -34,7 +33,7 @@ from judged import (
     record_of,
     verdicts_over,
 )
-from results import machine, table, write_part
+from results import finish, machine, table
 from scatter_filters import Case, write_case
 from scatter_worlds import (
     DURATION_S,
@@ -587,10 +586,7 @@ def main() -> None:
         if of_world:
             pairs += judged_pairs(WORLDS[row], of_world, given.groups, given.seed)
     part, all_met = page(pairs, dives, time.monotonic() - begun_s, given.groups)
-    if not given.print and given.worlds == [""]:
-        write_part(part)
-    sys.stdout.write(f"{part}\n")
-    raise SystemExit(int(not all_met))
+    finish(part, is_whole=given.worlds == [""] and not given.print, all_met=all_met)
 
 
 if __name__ == "__main__":

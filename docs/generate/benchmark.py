@@ -342,13 +342,16 @@ def quote(cells: Mapping[str, Sequence[Cell]]) -> str:
             continue
         count = max(cell.dives for cell, _ in found)
         noun = WORDS["dives"].get(name, f"{{}} of {name}").format("dive" if count == 1 else "dives")
-        said = []
+        number = NUMBERS[count] if count < len(NUMBERS) else count
+        place = f"On {number} {noun}, "
         for cell, answer in found:
             row = cell.rows[0]
-            acts = f"it acts by {share_text(row.acts)} of the error"
-            said.append(f"{METHODS[cell.candidate]} is {answer.verdict} ({ratio_with_interval(row)}; {acts})")
-        number = NUMBERS[count] if count < len(NUMBERS) else count
-        sentences.append(f"On {number} {noun}, {' and '.join(said)}.")
+            method = METHODS[cell.candidate]
+            begun = f"{place}{method}" if place else f"{method[:1].upper()}{method[1:]}"
+            sentences.append(
+                f"{begun} is {answer.verdict}: {ratio_with_interval(row)}, moved by {share_text(row.acts)}."
+            )
+            place = ""
     return " ".join(sentences)
 
 

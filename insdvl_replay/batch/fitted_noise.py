@@ -46,6 +46,12 @@ def with_fitted_noise(
     return [fitted.get(place, job) for place, job in enumerate(jobs)]
 
 
+def with_own_noise(job: ReplayJob) -> ReplayJob:
+    """Return a job with a noise of its own: that of its result, if an earlier try left one, else one that is fitted."""
+    (found,) = _with_known_noise([job]) or _with_new_noise([job])
+    return found
+
+
 def with_same_noise(
     before: Sequence[ReplayJob],
     after: Sequence[ReplayJob],

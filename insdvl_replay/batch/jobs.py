@@ -371,6 +371,11 @@ def replay_into(job: ReplayJob) -> bytes:
             f"{job.name}: asked for by insdvl-replay {wanted}, but the worker has {here}",
             "install the same version on all workers",
         )
+    if options.config.noise.fit:  # of logs that only this worker can read
+        from insdvl_replay.batch.fitted_noise import with_own_noise
+
+        job = with_own_noise(job)
+        options = job.options
     if not job.replaces and isinstance(_known_report(job), Report):
         return (job.target / COMPLETE).read_bytes()
     # Heavy, and often no dive is replayed.
@@ -382,17 +387,6 @@ def replay_into(job: ReplayJob) -> bytes:
         from insdvl_replay.batch.noise_tuning import replay_with_tuned_baseline
 
         run = replay_with_tuned_baseline
-    if options.config.noise.fit:  # of logs that only this worker can read
-        from insdvl_replay.calibration.fitted_noise import fit_noise_of_logs
-
-        found = fit_noise_of_logs(
-            [job.logs],
-            options.config,
-            allow_damaged=options.allow_damaged,
-            must_be_described=options.require_fit,
-        )
-        notes = (*options.found, *found.notes)
-        options = replace(options, config=found.config, found=notes, vehicle=found.text if found.notes else "")
     started_at, start_s = datetime.now(UTC).isoformat(timespec="seconds"), time.perf_counter()
     replay = run(job.logs, job.config, allow_damaged=options.allow_damaged, name=job.target.name)
     if options.assay:

@@ -155,22 +155,27 @@ def pooled_dive(dives: Sequence[Checked]) -> Checked:
 
 def _pooled_rows(reports: Sequence[StoredReport]) -> Iterator[PooledRow]:
     """Yield the pooled evidence on each candidate, with its share of the error rate."""
-    from insdvl_replay.evaluation.answers import levels_of, pooled_candidate, pooled_evidence, primary_of
+    from insdvl_replay.evaluation.answers import CandidateAnswer, answers_together, pooled_candidate, primary_of
 
     reports, _ = distinct_dives(reports)
     settings = reports[0].config.get("evaluation", {})
+
+    def answer_at(name: str, level: float) -> CandidateAnswer:
+        evaluated = _evaluated_reports(reports, name)
+        evidence = [_rows_on(report, name) for report in evaluated]
+        return pooled_candidate(
+            name,
+            reports[0].baseline,
+            evidence,
+            len(evidence),
+            primary=primary_of(evidence, settings.get("primary", "")),
+            level=level,
+            vehicles=[report.vehicle for report in evaluated],
+        )
+
     names = dict.fromkeys(name for report in reports for name in report.filters)
-    evaluated = {name: _evaluated_reports(reports, name) for name in names}
-    evidence = {name: [_rows_on(report, name) for report in evaluated[name]] for name in names}
-    primaries = {name: primary_of(evidence[name], settings.get("primary", "")) for name in names}
-    alone = [
-        pooled_candidate(name, reports[0].baseline, evidence[name], len(evidence[name]), primary=primaries[name])
-        for name in names
-    ]
-    levels = levels_of(alone, settings.get("candidate", ""))
-    for name in names:
-        vehicles = [report.vehicle for report in evaluated[name]]
-        yield from pooled_evidence(name, evidence[name], primary=primaries[name], level=levels[name], vehicles=vehicles)
+    for answer in answers_together(names, answer_at, settings.get("candidate", "")).values():
+        yield from answer.rows
 
 
 def _evaluated_reports(reports: Sequence[StoredReport], name: str) -> list[StoredReport]:

@@ -7,9 +7,9 @@ same rule. One dive has no verdict, except where it is proved how little the can
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from enum import StrEnum
-from typing import Annotated, Final
+from typing import Annotated, Final, TypeVar
 
 import numpy as np
 from msgspec import Meta, Struct
@@ -135,6 +135,9 @@ class Answer(Struct, frozen=True, kw_only=True):
         """The row of the error that the candidate changes most, for its size."""
         known = [row for row in self.rows if math.isfinite(finite(row.acts))]
         return max(known, key=lambda row: finite(row.acts), default=None)
+
+
+A = TypeVar("A", bound=Answer)
 
 
 class CandidateAnswer(Answer, frozen=True, kw_only=True):
@@ -297,29 +300,31 @@ def median_of(numbers: Iterable[float]) -> float:
 
 def assay_rows(dives: Sequence[Sequence[AssayRow]], primary: str) -> list[PooledRow]:
     """Pool the controls of several dives: what each quantity would have said of each planted fault."""
-    controls = list(dict.fromkeys(row.filter for rows in dives for row in rows))
-    pooled = []
-    for control in controls:
-        evidence = [
-            [
-                EvidenceRow(
-                    log=row.log,
-                    filter=control,
-                    evidence="assay",
-                    quantity=row.quantity,
-                    unit=row.unit,
-                    baseline=row.baseline,
-                    value=row.value,
-                    ratio=row.ratio,
-                    role=row.role,
-                )
-                for row in rows
-                if row.filter == control
-            ]
-            for rows in dives
-        ]
-        pooled += pooled_evidence(control, [rows for rows in evidence if rows], primary=primary)
+    by_control: dict[str, list[list[EvidenceRow]]] = {}
+    for rows in dives:
+        of_dive: dict[str, list[EvidenceRow]] = {}
+        for row in rows:
+            of_dive.setdefault(row.filter, []).append(_as_evidence(row))
+        for control, evidence in of_dive.items():
+            by_control.setdefault(control, []).append(evidence)
+    pooled = list[PooledRow]()
+    for control, found in by_control.items():
+        pooled += pooled_evidence(control, found, primary=primary)
     return pooled
+
+
+def _as_evidence(row: AssayRow) -> EvidenceRow:
+    return EvidenceRow(
+        log=row.log,
+        filter=row.filter,
+        evidence="assay",
+        quantity=row.quantity,
+        unit=row.unit,
+        baseline=row.baseline,
+        value=row.value,
+        ratio=row.ratio,
+        role=row.role,
+    )
 
 
 def seen_controls(rows: Sequence[PooledRow]) -> tuple[list[str], list[str]]:
@@ -334,11 +339,11 @@ def seen_controls(rows: Sequence[PooledRow]) -> tuple[list[str], list[str]]:
 
 def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecided]:
     """Return the verdict of the rows of one candidate, and why it is undecided."""
-    acting = [finite(row.acts_most) for row in rows if math.isfinite(finite(row.acts_most))]
-    if acting and max(acting) < NO_EFFECT:
+    most = largest_acts(rows)
+    if most < NO_EFFECT:
         return Verdict.NO_EFFECT, Undecided.NONE
     primary = next((row for row in rows if row.role == Role.PRIMARY), None)
-    if acting and max(acting) < PROVED:
+    if most < PROVED:
         return _of_quantity(Verdict.EQUIVALENT, primary), Undecided.NONE
     if dives == 1:
         return Verdict.UNDECIDED, Undecided.ONE_DIVE
@@ -354,6 +359,12 @@ def verdict_of(rows: Sequence[PooledRow], dives: int) -> tuple[Verdict, Undecide
     if word == EvidenceVerdict.BETTER and is_warned:
         return Verdict.MIXED, Undecided.NONE
     return _of_quantity(Verdict(word.value), primary), Undecided.NONE
+
+
+def largest_acts(rows: Sequence[PooledRow]) -> float:
+    """Return how far the candidate moves an error at most; NaN where that is not known of all errors that it moves."""
+    moved = [row for row in rows if math.isfinite(finite(row.moves)) or math.isfinite(finite(row.acts))]
+    return _largest(row.acts_most for row in moved)
 
 
 def starts_contradict(primary: PooledRow | None, drawn: PooledRow | None) -> bool:
@@ -450,6 +461,23 @@ def levels_of(answers: Sequence[Answer], named: str = "") -> dict[str, float]:
     for name in sharing:
         levels[name] = level_of_candidates(len(sharing), named=named in sharing, is_named=name == named)
     return levels
+
+
+def answers_together(names: Iterable[str], answer_at: Callable[[str, float], A], named: str = "") -> dict[str, A]:
+    """Answer for several candidates, each with its share of the error rate.
+
+    Parameters
+    ----------
+    names : iterable of str
+        The candidates.
+    answer_at : callable
+        Gives the answer for a candidate at a confidence.
+    named : str
+        The candidate that the settings name.
+    """
+    alone = {name: answer_at(name, LEVEL) for name in names}
+    levels = levels_of(list(alone.values()), named)
+    return {name: answer if levels[name] == LEVEL else answer_at(name, levels[name]) for name, answer in alone.items()}
 
 
 def _contradict(evidence: Sequence[Sequence[EvidenceRow]], primary: str, level: float, vehicles: Sequence[str]) -> bool:

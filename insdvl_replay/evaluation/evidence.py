@@ -373,7 +373,7 @@ def _role(quantity: str, samples: int, *, may_decide: bool = True) -> Role:
 def _track_rows(new: Callable[..., EvidenceRow], measured: Measured, candidate: str) -> Iterator[EvidenceRow]:
     """Compare the tracks of the whole dive. Position decides if what it is compared with is independent."""
     pair = measured.track.get(candidate, ({}, {}))
-    rows = {row.quantity: row for row in _rows_of_pair(partial(new), "track", pair)}
+    rows = {row.quantity: row for row in _rows_of_pair(new, "track", pair)}
     if "position" in rows:
         role = _role("position", rows["position"].samples, may_decide=measured.independent)
         rows["position"] = msgspec.structs.replace(rows["position"], role=role)

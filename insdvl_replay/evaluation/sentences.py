@@ -32,7 +32,6 @@ _HEADINGS: Final = {
     HeadingSource.FIT: "heading fitted to positions of the reference",
     HeadingSource.SETTINGS: "heading of the settings",
 }
-ONE_DIVE: Final = "one dive cannot tell whether the next one will be"
 
 
 def shouted(verdict: str) -> str:
@@ -95,7 +94,7 @@ def headline(answer: Answer) -> str:
     if primary is None or not math.isfinite(finite(primary.ratio)):
         return f"{word}, no evidence: {answer.reason}" if answer.reason else f"{word}, no evidence"
     if answer.undecided == Undecided.ONE_DIVE:
-        return f"on this dive {changed(primary)}; {ONE_DIVE}"
+        return f"on this dive {changed(primary)}; {answer.undecided}"
     pieces = [ratio_with_interval(primary)]
     if answer.dives > 1:
         better = "sooner" if primary.evidence == "convergence" else "smaller"
@@ -110,8 +109,10 @@ def headline(answer: Answer) -> str:
 
 def _warning(answer: Answer, row: PooledRow) -> str:
     joined = "but " if answer.verdict in (*GOOD, *BAD) else ""
-    without = "without the DVL " if row.evidence == "outage" else ""
-    return f"{joined}{without}{ratio_with_interval(row)} {row.verdict}"
+    found = ratio_with_interval(row)
+    if row.evidence == "outage":
+        found = f"without the DVL {found.removeprefix(label(row.quantity)).lstrip()}"
+    return f"{joined}{found} {row.verdict}"
 
 
 # --- The lines below.
@@ -229,6 +230,8 @@ def plan_line(answer: Answer) -> str:
     level = finite(primary.level_pct) / 100.0
     name = label(primary.quantity)
     if primary.dives < FEWEST_DIVES:
+        if not answer.undecided:  # it is proved
+            return ""
         scatter = SCATTER_OF_ACTS * finite(primary.acts)
         needed = dives_needed(scatter, SOUGHT, level) if math.isfinite(scatter) else None
         about = f"; about {needed} dives like {'this one' if primary.dives == 1 else 'these'} find a change of 10 %"

@@ -1,6 +1,5 @@
-"""The verdict on a candidate: its evidence, whether its predicted improvement is confirmed, and the sentences.
+"""The verdict on the candidates of one dive: what keeps them from being evaluated, and how consistent they are.
 
-A sentence has three parts: what was measured, the predicted improvement, and the consistency of both filters.
 Filters that diverged or are misconfigured are not evaluated. No candidate of such a baseline is evaluated either. A
 filter of the user's whose answers differ from run to run is not repeatable.
 """
@@ -95,8 +94,8 @@ def not_evaluated(
 ) -> dict[str, str]:
     """Return, by candidate, why it is not evaluated; candidates without a problem are left out.
 
-    If only one of the two filters is far off, the evidence shows it. The same holds for a baseline whose innovations
-    are far too large. A candidate whose own innovations are far too large is worse or not evaluated.
+    If only one of the two filters is far off, the evidence shows it. A baseline whose noise is far from what its
+    innovations show is none to judge by (`misfit`), nor is a candidate that misreads a sensor of its own (`misread`).
     """
     # Errors against the reference mean nothing for filters that are aided by the reference's own readings. Depth is an
     # exception: it neither decides nor warns, and the rest of the reference is still valid.

@@ -20,8 +20,9 @@ from insdvl_replay.evaluation.answers import (
     NOTABLE_PCT,
     Answer,
     CandidateAnswer,
+    answers_together,
     assay_rows,
-    levels_of,
+    median_of,
     pooled_candidate,
     primary_of,
 )
@@ -29,6 +30,7 @@ from insdvl_replay.evaluation.evidence import role_alone
 from insdvl_replay.evaluation.interval import LEVEL
 from insdvl_replay.evaluation.outage_test import SHORTEST_S
 from insdvl_replay.evaluation.sentences import interval_text, ratio_text, start_of
+from insdvl_replay.evaluation.verdicts import misfit
 from insdvl_replay.show.document import MISSING, percent
 
 # By verdict: its colour.
@@ -183,14 +185,11 @@ def answers_of(reports: Sequence[Report]) -> list[CandidateAnswer]:
     Several candidates share the error rate of one. Controls, and candidates without any effect, do not count.
     """
     reports, _ = distinct_dives(reports)
-    names = candidate_names(reports)
-    alone = [_answer(reports, name) for name in names]
     settings = reports[0].config.get("evaluation", {}) if reports else {}
-    levels = levels_of(alone, settings.get("candidate", ""))
-    return [
-        answer if levels[answer.filter] == LEVEL else _answer(reports, answer.filter, levels[answer.filter])
-        for answer in alone
-    ]
+    found = answers_together(
+        candidate_names(reports), lambda name, level: _answer(reports, name, level), settings.get("candidate", "")
+    )
+    return [*found.values()]
 
 
 def _answer(reports: Sequence[Report], name: str, level: float = LEVEL) -> CandidateAnswer:
@@ -223,6 +222,23 @@ def answer_on_dive(report: Report, name: str) -> CandidateAnswer:
     return _answer([report], name)
 
 
+def has_misfit(report: Report) -> bool:
+    """Return whether nothing is evaluated on a dive since the noise of its baseline is far off."""
+    return bool(misfit(report.baseline, report.tables.consistency))
+
+
+def predicted_unchecked(reports: Sequence[Report], name: str) -> str:
+    """State what a candidate predicts on dives whose baseline has a noise that is far off; empty without any."""
+    found = [report.filters[name] for report in reports if name in report.filters and has_misfit(report)]
+    sigma_pct = median_of(finite(candidate.mean_improvement_pct) for candidate in found)
+    faster_pct = median_of(finite(candidate.mean_convergence_improvement_pct) for candidate in found)
+    if math.isnan(sigma_pct) or math.isnan(faster_pct):
+        return ""
+    sigma = f"{percent(abs(sigma_pct))} {'smaller' if sigma_pct >= 0.0 else 'larger'} sigma"
+    faster = f"{percent(abs(faster_pct))} {'faster' if faster_pct >= 0.0 else 'slower'} convergence of it"
+    return f"predicted: {sigma}, {faster}. Neither is checked against errors."
+
+
 def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | None:
     """Return the answer for a candidate against the control, whose noise is fitted; None without `--control`.
 
@@ -230,7 +246,7 @@ def against_control(reports: Sequence[Report], name: str) -> CandidateAnswer | N
     baseline, so their ratio is that of their own values.
     """
     reports, _ = distinct_dives(reports)
-    having = [report for report in reports if name in report.filters and CONTROL in report.filters]
+    having = [report for report in reports if {name, CONTROL} <= report.filters.keys() and has_misfit(report)]
     if name == CONTROL or not having:
         return None
     rows = [_rows_against_control(report, name) for report in having]

@@ -36,6 +36,7 @@ from insdvl_replay.show.answers import (
     initial_text,
     of_filter,
     predicted_change,
+    predicted_unchecked,
     reports_of,
     start_text,
     verdict_in_table,
@@ -82,11 +83,19 @@ def _answer_parts(
         lines += answer_lines(answer, initial, start)
         if answer.verdict not in WITHOUT_VERDICT:
             start = ""
-        fitted = against_control(reports, answer.filter) if answer.verdict == Verdict.NOT_EVALUATED else None
-        if fitted is not None:
-            lines.append(f"against {fitted.baseline}, whose noise is fitted: {headline(fitted)}")
+        if answer.verdict == Verdict.NOT_EVALUATED:
+            lines += _in_spite_of_misfit(answer.filter, reports)
     if lines:
         yield Sentences(tuple(lines))
+
+
+def _in_spite_of_misfit(name: str, reports: Sequence[Report]) -> Iterator[str]:
+    """Yield what can be said of a candidate beside a baseline whose noise is far off."""
+    fitted = against_control(reports, name)
+    if fitted is not None:
+        yield f"against {fitted.baseline}, whose noise is fitted: {headline(fitted)}"
+    if predicted := predicted_unchecked(reports, name):
+        yield predicted
 
 
 def _answer_table(answers: Sequence[CandidateAnswer]) -> DisplayTable:

@@ -735,6 +735,19 @@ def test_a_dive_that_a_lost_worker_has_written_is_not_in_the_way(archive: Path, 
         replay_into(dataclasses.replace(other, target=job.target))
 
 
+def test_a_worker_uses_the_noise_that_it_fits(archive: Path, tmp_path: Path) -> None:
+    """Of a log that it alone can read; a second try finds its own result, with that noise."""
+    options = ReplayOptions(load_config(overrides=["evaluation.starts=1"]))
+    (job,) = plan_jobs([FoundDive(archive / "dive_1.mcap")], tmp_path, options)
+    assert job.config.noise.fit
+    written = replay_into(job)
+    report = decode_report(written)
+    assert "found_noise" in {note.code for note in report.notes}
+    assert report.config["noise"]["fit"] == []
+    assert report.config["noise"]["accel_white_mps_rts"] != job.config.noise.accel_white_mps_rts
+    assert replay_into(job) == written
+
+
 def test_two_processes_write_the_bytes_of_one(archive: Path, results: Path, tmp_path: Path) -> None:
     done = run(archive, "-o", "out", "--jobs", "2", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

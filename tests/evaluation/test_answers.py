@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from made_verdicts import evidence_row
@@ -185,6 +186,12 @@ def test_one_row_that_is_moved_takes_the_proof_away() -> None:
     assert (found.verdict, found.undecided) == ("undecided", Undecided.ONE_DIVE)
     assert found.acting is not None
     assert found.acting.quantity == "drift_30s"
+
+
+def test_an_error_that_is_moved_by_an_unknown_share_takes_the_proof_away() -> None:
+    dives = dives_of({"position": (1.0,) * 3, "level": (1.0,) * 3}, acts=0.001)
+    unknown = [msgspec.structs.replace(row, acts=None) if row.quantity == "level" else row for row in dives[1]]
+    assert answer([dives[0], unknown, dives[2]]).verdict != "no effect"
 
 
 def test_one_dive_on_which_it_acts_takes_the_proof_away() -> None:

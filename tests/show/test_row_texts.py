@@ -98,6 +98,11 @@ def test_row_that_is_moved_most_is_named_too() -> None:
     assert acts_line(found).endswith("20 % of its error; the level by 60 %")
 
 
+def test_what_is_proved_on_one_dive_takes_no_other_dives() -> None:
+    assert plan_line(answer({"position": [1.0]}, acts=0.03)) == ""
+    assert plan_line(answer({"position": [1.0]}, acts=0.3)).startswith("A verdict takes 3 dives")
+
+
 def test_convergence_says_what_its_starts_are() -> None:
     found = answer({"position": [1.0] * 3, "convergence_velocity": [0.79, 0.80, 0.81]})
     assert settling_line(found, "level 0.5 deg").startswith("convergence: SOONER, velocity settled 0.80 (")
